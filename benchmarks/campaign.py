@@ -42,7 +42,7 @@ from fringedic.campaign import (
 )
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
-from fringedic.campaign.settings import Labels
+from fringedic.campaign.settings import RecordingEntry
 
 RECORDED = Path(__file__).parents[1] / "ros2_ws/src/fringedic/test/recordings/version_0_1/bag"
 TARGETS = {
@@ -200,7 +200,7 @@ def planner_figures(folder: Path, count: int) -> dict[str, float]:
     """Time to plan synthetic summaries, and the memory per recording."""
     campaign = load_campaign(folder / "resume")
     summary = summarise(str(RECORDED))
-    found = (Found(f"plate-{number}", str(RECORDED), Labels()) for number in range(count))
+    found = (Found(f"plate-{number}", str(RECORDED), RecordingEntry(path="")) for number in range(count))
     before = psutil.Process().memory_info().rss
     start = time.perf_counter()
     plan = plan_of(campaign, ((each, summary) for each in found))

@@ -58,11 +58,9 @@ def measure(seconds: float, folder: Path, size: tuple[int, int], others: tuple[N
     rows, columns = size
     camera = {"source": "files", "files": str(images), "repeat": True, "frame_rate_hz": RATE_HZ, "autostart": False}
     pads = {
-        "first_column_px": columns // 4,
-        "first_row_px": rows // 2,
-        "second_column_px": 3 * columns // 4,
-        "second_row_px": rows // 2,
-        "pad_px": PAD,
+        "first_px": [columns // 4, rows // 2],
+        "second_px": [3 * columns // 4, rows // 2],
+        "subset_px": PAD,
     }
     nodes = (
         NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(folder / "bag")}),

@@ -26,11 +26,11 @@ sys.path.extend(
 )
 from test_real_devices import RIGS, devices
 
+from fringedic.command.outcome import RunReport
 from fringedic.configuration.programme import Programme
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import PROCESSING_NODES
 from fringedic_bringup.launch.rig_files import configuration
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 from fringedic_ros.testing import node_pids
 

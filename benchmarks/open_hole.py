@@ -157,7 +157,7 @@ def fit(data: xr.Dataset, plate: Plate, ends: np.ndarray, step: int) -> tuple[Co
     loads = {0: 0.0, step: 1.0}
 
     def differences(values: np.ndarray) -> np.ndarray:
-        found = fringedic.compare_model(data, model_of(plate, Constants(*values), one), loads=loads, steps=[step])
+        found = fringedic.compare_model(data, model_of(plate, Constants(*values), one), load_table=loads, steps=[step])
         maps = np.stack([found[f"normalized_{name}"].values for name in "uv"])
         return np.nan_to_num(maps.ravel().astype(float))
 
@@ -180,8 +180,8 @@ def figures(data: xr.Dataset, plate: Plate, ends: np.ndarray, picture: Path) -> 
         constants, covariance = fit(data, plate, ends, step)
         cells = zip(vars(constants).values(), np.sqrt(np.diag(covariance)), strict=True)
         lines.append(f"| {step} | {' | '.join(f'{value:.3f} ± {2 * sigma:.3f}' for value, sigma in cells)} |")
-        fits[step] = fringedic.compare_model(data, model_of(plate, constants, ends), loads=steps)
-    plain = fringedic.compare_model(data, model_of(plate, isotropic(), ends), loads=steps)
+        fits[step] = fringedic.compare_model(data, model_of(plate, constants, ends), load_table=steps)
+    plain = fringedic.compare_model(data, model_of(plate, isotropic(), ends), load_table=steps)
     best = fits[FITTED[-1]]
     lines += [
         "",

@@ -22,9 +22,9 @@ from urllib.parse import urlparse
 
 from websockets.sync.client import connect
 
+from fringedic.recording.frames import frame_losses
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.environment import node_environment, private_domain
-from fringedic_bringup.procedures.run import frame_losses
 from fringedic_ros.testing import child_pid
 
 WARM_UP_S, SPAN_S = 5.0, 20.0
@@ -156,7 +156,7 @@ def measure_run(url: str, pid: int, clients: int, folder: Path) -> None:
     run = folder / "recordings" / browsers[0].words
     clouds = cloud_times(run / "bag")
     delays = [f"{browsers[0].maps[step] - clouds[step]:.2f}" for step in sorted(clouds)]
-    lost = sum(sum(each) for each in frame_losses(run / "bag").values())
+    lost = sum(sum(each) for each in frame_losses(BagReader(run / "bag")).values())
     print(
         f"run, {clients} clients: {100 * used:.1f} % of a core, cloud to map in the client [s]: {', '.join(delays)}, "
         f"{lost} frames lost",

@@ -72,7 +72,7 @@ def one_step(folder: Path, camera: dict[str, Any]) -> Table:
     """A fringe step with a settled projector and a camera that exposes for a whole frame period."""
     path = Path(get_package_share_directory("fringedic_bringup")) / "config" / "plate.yaml"
     rig, _ = load_rig(path, None, None)
-    rig = rig.model_copy(update={"sequence": rig.sequence.model_copy(update={"shifts": STEP_FRAMES // 4})})
+    rig = rig.model_copy(update={"sequence": rig.sequence.model_copy(update={"shifts": [STEP_FRAMES // 4]})})
     graph = rig_graph(rig, path, folder / "run", experiment="bench")
     replaced = {
         "camera": camera | {"exposure_ms": 1e3 / STEP_HZ},

@@ -12,8 +12,8 @@ import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
+from fringedic.command.outcome import RunReport
 from fringedic_bringup.launch.environment import node_environment, private_domain, remove_stale_segments
-from fringedic_bringup.procedures.outcome import RunReport
 
 SHOWN_MS = 30_000  # until the page shows what a test waits for, on a busy computer
 

@@ -9,21 +9,25 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import pytest
+import rclpy
 from pymodbus.client import ModbusTcpClient
 from served import free_port as free_port
 from typer.testing import CliRunner
 
 from fringedic.command.main import app
+from fringedic.command.outcome import RunReport
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures import run
-from fringedic_bringup.procedures.outcome import RunReport
+from fringedic_msgs.msg import Signal
 from fringedic_ros.testing import command_lines, node_pids
 
 Result = TypeVar("Result")
@@ -98,8 +102,34 @@ class RecordedExperiment:
     output: str
 
 
+@contextmanager
+def thermocouple(domain: int) -> Iterator[None]:
+    """Publish a temperature of 295 K +- .5 K at 20 Hz in the namespace of the rig, as a node of others would."""
+    context, ended = rclpy.Context(), threading.Event()
+    context.init(domain_id=domain)
+    node = rclpy.create_node("thermocouple", namespace="rig", context=context)
+    publisher = node.create_publisher(Signal, "signals", 10)
+
+    def publish() -> None:
+        while not ended.wait(0.05):
+            sample = Signal(name="temperature_grip", quantity="temperature", unit="K", source="thermocouple")
+            sample.header.stamp = node.get_clock().now().to_msg()
+            sample.stamps, sample.values, sample.sigmas = [sample.header.stamp], [295.0], [0.5]
+            publisher.publish(sample)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        node.destroy_node()
+        context.shutdown()
+
+
 def record_experiment(rig: Path, folder: Path) -> RecordedExperiment:
-    """Run ``fringedic run RIG --output FOLDER`` in this process, in a ROS domain of its own."""
+    """Run ``fringedic run RIG --output FOLDER`` in this process, in a ROS domain of its own, with a thermocouple."""
     reports: list[RunReport] = []
     run_experiment = run.run_experiment
 
@@ -111,7 +141,8 @@ def record_experiment(rig: Path, folder: Path) -> RecordedExperiment:
         for name, value in node_environment(domain).items():
             patch.setenv(name, value)
         patch.setattr(run, "run_experiment", keep_report)
-        done = CliRunner().invoke(app, ["run", str(rig), "--output", str(folder)])
+        with thermocouple(domain):
+            done = CliRunner().invoke(app, ["run", str(rig), "--output", str(folder)])
     assert done.exit_code == 0, f"{done.output}\n{done.exception!r}"
     return RecordedExperiment(reports[0], done.output)
 

@@ -8,7 +8,7 @@ import pytest
 from running_system import Progress
 
 from fringedic.calibration.acceptance import AcceptanceError, Artefacts, measure_place
-from fringedic.configuration.rig_file import load_calibration, load_rig_file
+from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import CalibrationError
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 
@@ -31,7 +31,7 @@ def test_nodes_measure_what_the_operator_places(tmp_path: Path) -> None:
     path = tmp_path / "ball.yaml"
     path.write_text(RIG)
     rig = load_rig_file(path)
-    model = load_calibration(rig, path)
+    model = rig.rig_model
     assert model is not None
     artefacts = Artefacts(diameter=14e-3, spacing=30e-3, volume=(55e-3, 40e-3, 20e-3))
     middle, front = artefacts.places()[0], artefacts.places()[9]  # the ball stays in the middle
@@ -41,9 +41,7 @@ def test_nodes_measure_what_the_operator_places(tmp_path: Path) -> None:
         asked.append(words)
         return True
 
-    first, second = shapes_by_nodes(
-        rig, path, tmp_path / "out", Progress(), model=model, places=[middle, front], ask=ask
-    )
+    first, second = shapes_by_nodes(rig, tmp_path / "out", Progress(), model=model, places=[middle, front], ask=ask)
     assert asked == [
         "Place 1 of 2: ball at x +0.0, y +0.0, z +0.0 mm",
         "Place 2 of 2: ball at x +0.0, y +0.0, z +3.0 mm",

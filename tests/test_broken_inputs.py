@@ -20,6 +20,7 @@ from rewritten import copy_topics
 from running_system import CONFIG, WORKING, Progress
 
 import fringedic
+from fringedic.command.outcome import RunReport
 from fringedic.errors import NodeDiedError, RecordingError
 from fringedic.frames.region import Region
 from fringedic.recording.reader import BagReader
@@ -27,7 +28,6 @@ from fringedic.recording.repair import recover
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 from fringedic_ros.testing import node_pids

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from rewritten import copy_topics
 from running_system import CONFIG, WORKING, Progress, without_ros
 
 import fringedic
+from fringedic.command.outcome import RunReport
+from fringedic.datasets.signals import signal_series
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.procedures.outcome import RunReport
-from fringedic_bringup.procedures.replay import replay
+from fringedic_bringup.launch.graph import replay_graph
+from fringedic_bringup.procedures import replay as replaying
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 NAMESPACE = "/rig/"
@@ -116,6 +119,18 @@ def test_dataset_is_labelled(experiment: RunReport) -> None:
     np.testing.assert_allclose(positions, [0.0, 0.3e-3, 0.6e-3], atol=1e-9)
 
 
+def test_a_signal_of_another_node_is_in_the_dataset(experiment: RunReport) -> None:
+    with fringedic.open_experiment(experiment.folder / "bag") as dataset:
+        temperature = dataset.temperature_grip
+        assert (temperature.attrs["units"], temperature.attrs["source"]) == ("K", "thermocouple")
+        np.testing.assert_array_equal(temperature.values, [295.0] * STEPS)
+        np.testing.assert_allclose(dataset.temperature_grip_sigma.values, 0.5)
+        samples = signal_series(dataset, "temperature_grip")
+    recorded = BagReader(experiment.folder / "bag")
+    assert samples.stamps.size == recorded.counts[recorded.find("signals")["signals"]] > STEPS
+    assert (np.diff(samples.stamps) > 0).all()
+
+
 def test_tension_along_y_has_the_right_signs(experiment: RunReport) -> None:
     """The plate is pulled along +y, up in the image, and becomes narrower (Poisson)."""
     with fringedic.open_experiment(experiment.folder / "bag") as dataset:
@@ -166,9 +181,13 @@ def test_process_without_ros_gives_the_arrays_of_the_nodes(experiment: RunReport
             )
 
 
-def test_replay_is_bit_identical(experiment: RunReport, raw_bag: Path, tmp_path: Path) -> None:
-    """From the raw topics alone, by new processes, with another number of threads."""
-    again = replay(raw_bag, tmp_path / "again", Progress(), environment={"NUMBA_NUM_THREADS": "1"})
+@pytest.mark.parametrize("composed", [False, True])
+def test_replay_is_bit_identical(
+    experiment: RunReport, raw_bag: Path, tmp_path: Path, composed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the raw topics alone, by new processes or by nodes in one process, with another number of threads."""
+    monkeypatch.setattr(replaying, "replay_graph", partial(replay_graph, composed=composed))
+    again = replaying.replay(raw_bag, tmp_path / "again", Progress(), environment={"NUMBA_NUM_THREADS": "1"})
     recorded, replayed = derived(experiment.folder / "bag"), derived(again)
     for name in MAPS:
         assert len(recorded[name]) == STEPS, name

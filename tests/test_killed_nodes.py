@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -30,7 +31,8 @@ VICTIMS = ("experiment", "recorder", "dic")  # nodes with a state in memory
 @pytest.mark.slow
 def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
+    unnamed, _ = load_rig(CONFIG / "tiny.yaml", None, None)
+    rig = unnamed.model_copy(update={"sensor": "left"})  # nodes that are started again have the name, too
     progress = Killer(folder, dict(enumerate(VICTIMS, start=2)))
     programme = Programme.model_validate(PROGRAMME)
     report = run_experiment(rig, CONFIG / "tiny.yaml", programme, folder, progress)
@@ -43,16 +45,22 @@ def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     numbers = [step.step for step in report.steps]
     assert numbers == sorted(set(numbers)), "numbers are not used twice"
     assert numbers[-1] > 4, "interrupted steps have a number"
-    assert not BagReader(folder / "bag").lost
+    reader = BagReader(folder / "bag")
+    assert not reader.lost
+    assert {topic for topic in reader.counts if not topic.startswith("/rig/left/")} == set()
+    assert reader.sensors == {"left": "/rig/left/"}
+    assert (folder / "calibration.left.yaml").exists()
     with AnyReader([folder / "bag"]) as other:
         assert len({each.topic for each in other.connections}) == len(other.connections), "one channel per topic"
-        assert sum(1 for _ in other.messages()) == sum(BagReader(folder / "bag").counts.values())
+        assert sum(1 for _ in other.messages()) == sum(reader.counts.values())
     verification = verify(folder / "bag")
     assert not verification.damage
     assert not {(programme.experiment, number) for number in numbers} & verification.unfinished_steps.keys()
     assert sorted(part.name for part in (folder / "parts").iterdir()) == ["bag-1", "bag-2"]
     assert all(step.missing == step.dropped == 0 for step in report.steps)
-    with fringedic.open_experiment(folder / "results.nc") as dataset:
+    assert report.dataset == "results.left.nc"
+    with fringedic.open_experiment(folder) as dataset:
+        assert (dataset.attrs["sensor"], json.loads(dataset.attrs["calibration"])["sensor"]) == ("left", "left")
         measured = dataset.sel(step=numbers)
         references = [numbers[0], *[numbers[1]] * 3]
         assert measured.reference_step.values.tolist() == references, "those of the programme, although dic lost them"

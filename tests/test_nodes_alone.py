@@ -23,7 +23,7 @@ NODES = {
     "recorder": ("recorder_node", []),
     "stage": ("load_frame_node", []),
     "live_view": ("camera_node", []),
-    "extensometer": ("dic_node", ["-p", "first_column_px:=160", "-p", "second_column_px:=480"]),
+    "extensometer": ("dic_node", ["-p", "first_px:=[160, 240]", "-p", "second_px:=[480, 240]"]),
 }
 
 

@@ -103,7 +103,9 @@ def test_region_is_drawn_by_clicks_and_used(page: Page, operated: Operated) -> N
     expected = Region.rectangle((20, 15), (140, 105)).mask_for((120, 160))
     assert np.count_nonzero(expected & ~mask) == pytest.approx(20 * 20 / 2, abs=60), "the hole"
     assert np.count_nonzero(mask & ~expected) < 0.03 * expected.sum(), "a screen pixel is a tenth of a pixel"
-    assert fringedic.load_rig_file(operated.folder / "tiny.yaml").region_file == "tiny_region.yaml"
+    assert fringedic.load_rig_file(operated.folder / "tiny.yaml").region_file == str(
+        operated.folder / "tiny_region.yaml"
+    )
     assert list(operated.folder.glob("tiny.before-*.yaml"))
 
 

@@ -103,7 +103,7 @@ def test_rig_is_set_up_and_measures_its_first_test_by_clicks_alone(page: Page, o
     assert "5 steps at rest" in kept["noise"]["words"][0]
     assert any(" mm" in line for line in kept["advise"]["words"])
     rig = fringedic.load_rig_file(operated.folder / "tiny.yaml")
-    assert rig.region_file == "tiny_region.yaml"
+    assert rig.region_file == str(operated.folder / "tiny_region.yaml")
     assert rig.noise_floor_file is not None
     start_programme(page, "{experiment: first, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}")
     assert finished(page).startswith("5 steps in first-")

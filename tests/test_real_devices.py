@@ -14,10 +14,10 @@ from running_system import MACHINE, WORKING, Killer, ModbusServer, Progress
 
 from camera_node.testing import FakeCamera
 from fringe_projector_node.testing import VirtualDisplay
+from fringedic.command.outcome import RunReport
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 

@@ -231,6 +231,9 @@ def test_curve_of_force_and_position_shows_every_step(page: Page, dataset: xr.Da
         f"{float(value):.6g}" for pair in zip(1e3 * dataset.position, dataset.force, strict=True) for value in pair
     ]
     assert [float(cell) for cell in cells] == pytest.approx([float(text) for text in expected])
+    page.select_option("#curve-y", label="temperature_grip [K] (thermocouple)")
+    expect(page.locator("circle.dot")).to_have_count(dataset.sizes["step"])
+    expect(page.locator("tr:last-child td:last-child")).to_have_text("295")
 
 
 def test_map_is_read_with_the_keyboard_alone(page: Page, dataset: xr.Dataset) -> None:

@@ -1,6 +1,7 @@
 """Packaging of every Python package of this workspace: theirs run this file in their own folder.
 
-Name, version, description and licence come from package.xml; the rest, which differs, is in setup.cfg.
+Name, version, description, maintainer, licence and addresses come from package.xml; the rest, which differs, is in
+setup.cfg.
 """
 
 from pathlib import Path
@@ -10,6 +11,9 @@ from setuptools import find_packages, setup
 
 package = ElementTree.parse("package.xml").getroot()
 name = package.findtext("name", "")
+maintainer = package.find("maintainer")
+addresses = {each.get("type", "website"): each.text or "" for each in package.findall("url")}
+readme = Path(__file__).resolve().parents[3] / "README.md"  # beside the workspace; a wheel without it has none
 share = f"share/{name}"
 folders = {folder: sorted(str(path) for path in Path(folder).glob("*.*")) for folder in ("config", "launch", "rviz")}
 
@@ -18,6 +22,24 @@ setup(
     version=package.findtext("version", ""),
     description=package.findtext("description", ""),
     license=package.findtext("license", ""),
+    long_description=readme.read_text("utf-8") if readme.is_file() else "",
+    long_description_content_type="text/markdown",
+    author="" if maintainer is None else maintainer.text,
+    maintainer="" if maintainer is None else maintainer.text,
+    maintainer_email="" if maintainer is None else maintainer.get("email"),
+    url=addresses.get("repository", ""),
+    project_urls={"Repository": addresses.get("repository", ""), "Issues": addresses.get("bugtracker", "")},
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
+        "Topic :: Scientific/Engineering :: Image Processing",
+        "Topic :: Scientific/Engineering :: Physics",
+    ],
     python_requires=">=3.11",
     packages=find_packages(exclude=["test"]),
     data_files=[

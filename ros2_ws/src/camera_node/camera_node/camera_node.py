@@ -142,7 +142,9 @@ class CameraNode(HardwareNode[CameraNodeSettings]):
             pattern = pattern_of_message(request)
         except PatternError as error:
             raise CameraError(str(error)) from None
-        return FrameRecord(request.experiment, request.step, request.index, request.count, pattern, 0, 0.0, 0)
+        return FrameRecord(
+            request.experiment, request.step, request.index, request.count, pattern, 0, 0.0, sensor=self.sensor
+        )
 
     async def _await_subscribers(self, images: int, exposures: int) -> None:
         def connected() -> bool:

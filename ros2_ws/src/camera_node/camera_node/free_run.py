@@ -164,7 +164,8 @@ class FreeRun:
             frame = driver.expose(scene)
             # the index also counts frames that the camera exposed and that did not arrive
             index = number + driver.dropped - self._dropped_before
-            record = FrameRecord("", 0, index, 0, ProjectedPattern(PatternKind.OTHER), 0, 0.0, 0)
+            pattern = ProjectedPattern(PatternKind.OTHER)
+            record = FrameRecord("", 0, index, 0, pattern, 0, 0.0, sensor=self._node.sensor)
             self._publisher.publish(frame, record, driver)
         except FringedicError as error:
             if self._streaming or self._timer is not None:  # otherwise the free run was interrupted

@@ -23,6 +23,7 @@ from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import DERIVED
 from fringedic_ros.rig_node import RigNode
+from fringedic_ros.serialized import read
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 
@@ -63,7 +64,7 @@ class LiveViewNode(RigNode):
         self.diagnostics = NodeDiagnostics(self)
         self._worker = Worker(self, self._fail)
         self._view = self._new_view()
-        self._newest = deque[tuple[Image, Exposure]](maxlen=1)
+        self._newest = deque[tuple[bytes, Exposure]](maxlen=1)
         self._figures = self.create_publisher(LiveViewMessage, "live_view/figures", DERIVED)
         self._pictures = self.create_publisher(Image, "live_view/image", DERIVED)
         self._pairs = ImageExposurePairs(self, self._take_pair)
@@ -91,7 +92,7 @@ class LiveViewNode(RigNode):
         response.message = "the best focus starts with the next frame"
         return response
 
-    def _take_pair(self, image: Image, exposure: Exposure) -> None:
+    def _take_pair(self, image: bytes, exposure: Exposure) -> None:
         if self._newest:
             self.diagnostics.drop()  # replaced before it was evaluated
         self._newest.append((image, exposure))
@@ -104,8 +105,9 @@ class LiveViewNode(RigNode):
             self._evaluate(*self._newest.pop())
             time.sleep(max(0.0, 1 / self.parameters.value.maximum_rate_hz - (time.monotonic() - begin)))
 
-    def _evaluate(self, message: Image, exposure: Exposure) -> None:
+    def _evaluate(self, data: bytes, exposure: Exposure) -> None:
         try:
+            message = read(data, Image)
             # the pattern of a free run is unknown
             pattern = pattern_of_message(exposure) if exposure.count else None
             image = image_array(message)

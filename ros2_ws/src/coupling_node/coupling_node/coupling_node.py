@@ -21,6 +21,7 @@ from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
 from fringedic_msgs.msg import Exposure, NodeStatus, RigCalibration
 from fringedic_ros.clouds import cloud_message
+from fringedic_ros.exchange import Exchange
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin, StepId
@@ -34,23 +35,27 @@ MAPS = (*(f"phase/{topic}" for topic in PHASE_MAPS.values()), "dic/displacement"
 INPUTS = (*MAPS, "dic/camera_info", "camera/exposure", "phase/status", "dic/status")  # joined by the step's stamp
 # inputs of the surface of a step
 SURFACE = ("phase/map", "phase/sigma", "phase/texture", "camera/exposure", "phase/status")
+# the same from nodes in this process: "phase" and "dic" are their results
+WHOLE_INPUTS = ("phase", "dic", "phase/status", "dic/status")
+WHOLE_SURFACE = ("phase", "phase/status")
 
 
 class CouplingNode(ProcessingNode[CouplingParameters]):
-    """Joins the messages with a step's stamp and passes them to a `ShapeTracker`.
+    """Joins the messages, or the whole results, with a step's stamp and passes them to a `ShapeTracker`.
 
     The surface is made as soon as the phase has arrived, while the dic node still measures.
     """
 
-    def __init__(self) -> None:
-        super().__init__("coupling", CouplingParameters, rehearse_coupling)
+    def __init__(self, exchange: Exchange | None = None) -> None:
+        super().__init__("coupling", CouplingParameters, rehearse_coupling, exchange)
         self._shape = self.create_publisher(PointCloud2, "coupling/shape", DERIVED)
         self._displacement = self.create_publisher(PointCloud2, "coupling/displacement", DERIVED)
         self._strain = self.create_publisher(PointCloud2, "coupling/strain", DERIVED)
         self._arrows = ArrowMarkers(self)
         self._frame = frame_id(self, RIG_FRAME)
         self._tracker = ShapeTracker(self.parameters.value)
-        self._parts = StampJoin(INPUTS)
+        self._parts = StampJoin(INPUTS if exchange is None else WHOLE_INPUTS)
+        self._surface_inputs = SURFACE if exchange is None else WHOLE_SURFACE
         self._begun = 0  # stamp of the latest surface in the queue
         self._surface: tuple[int, StepSurface | None] = (0, None)  # latest surface, made in the worker's thread
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
@@ -58,14 +63,18 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self.create_subscription(Exposure, "camera/exposure", self._take_exposure, IMAGES)
         for name in ("phase", "dic"):
             self.create_subscription(NodeStatus, f"{name}/status", partial(self._take_status, name), EVENTS)
-        for topic in MAPS:
-            self.create_subscription(Image, topic, partial(self._join, topic), DERIVED)
-        self.create_subscription(CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED)
+        if exchange is None:
+            for topic in MAPS:
+                self.create_subscription(Image, topic, partial(self._join, topic), DERIVED)
+            self.create_subscription(CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED)
+        else:
+            for name in ("phase", "dic"):
+                exchange.take(self, name, partial(self._join_result, name))
 
     def _take_calibration(self, message: RigCalibration) -> None:
         try:
             rig = RigModel.from_message(message)
-            check_calibration(rig, RigSetup())
+            check_calibration(rig, RigSetup(sensor=self.sensor))
         except Exception as error:
             self.get_logger().error(f"calibration '{message.identifier}' refused: {error}")
             self.diagnostics.failure(str(error))
@@ -78,7 +87,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         if message.index != message.count - 1:
             return
         if message.kind == PatternKind.FRINGES:  # the last exposure has the step's stamp and the finest pitch
-            self._join("camera/exposure", message)
+            if self.exchange is None:
+                self._join("camera/exposure", message)
         elif message.kind == PatternKind.WHITE:
             self.skip(StepId.of(message))
 
@@ -94,13 +104,20 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         return self._parts.discard(step.stamp)
 
     def _join(self, topic: str, message: Any) -> None:
-        stamp = to_nanoseconds(message.header.stamp)
-        parts = self._parts.add(topic, stamp, message)
+        self._add(topic, to_nanoseconds(message.header.stamp), message)
+
+    def _join_result(self, name: str, result: PhaseResult | DicResult) -> None:
+        step = StepId(result.experiment, result.step, result.stamp)
+        if not self.answered(step.experiment, step.step):
+            self._add(name, step.stamp, result)
+
+    def _add(self, topic: str, stamp: int, part: Any) -> None:
+        parts = self._parts.add(topic, stamp, part)
         self.report_unjoined(self._parts.unjoined)
         if parts is not None:
             status: NodeStatus = parts["phase/status"]
             self.measure(StepId.of(status), partial(self._couple, parts, self.parameters.value))
-        elif stamp != self._begun and (begun := self._parts.waiting(stamp, SURFACE)):
+        elif stamp != self._begun and (begun := self._parts.waiting(stamp, self._surface_inputs)):
             self._begun = stamp
             self.worker.submit(self._make_surface, stamp, begun, self.parameters.value)
 
@@ -135,7 +152,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
 
 
 def _phase_result(parts: dict[str, Any]) -> PhaseResult:
-    """Return the phase of a step from the messages that carry its stamp."""
+    """Return the phase of a step, as a whole or from the messages that carry its stamp."""
+    if "phase" in parts:
+        whole: PhaseResult = parts["phase"]
+        return whole
     status: NodeStatus = parts["phase/status"]
     exposure: Exposure = parts["camera/exposure"]
     maps = {name: (("row", "column"), image_array(parts[f"phase/{topic}"])) for name, topic in PHASE_MAPS.items()}
@@ -154,7 +174,10 @@ def _phase_result(parts: dict[str, Any]) -> PhaseResult:
 
 
 def _dic_result(parts: dict[str, Any]) -> DicResult:
-    """Return the in-plane displacement of a step from the messages that carry its stamp."""
+    """Return the in-plane displacement of a step, as a whole or from the messages that carry its stamp."""
+    if "dic" in parts:
+        whole: DicResult = parts["dic"]
+        return whole
     status: NodeStatus = parts["dic/status"]
     grid: CameraInfo = parts["dic/camera_info"]
     return DicResult(

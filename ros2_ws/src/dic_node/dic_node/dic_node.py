@@ -14,8 +14,9 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import DicParameters
 from fringedic.steps.rehearsal import rehearse_displacement
-from fringedic.steps.step_results import DicResult
+from fringedic.steps.step_results import DicResult, PhaseResult
 from fringedic_msgs.msg import NodeStatus, Reference
+from fringedic_ros.exchange import Exchange
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.main import run
@@ -32,8 +33,8 @@ class DicNode(ProcessingNode[DicParameters]):
     the frame of a white step comes directly from the camera.
     """
 
-    def __init__(self) -> None:
-        super().__init__("dic", DicParameters, rehearse_displacement)
+    def __init__(self, exchange: Exchange | None = None) -> None:
+        super().__init__("dic", DicParameters, rehearse_displacement, exchange)
         self._frame = frame_id(self, CAMERA_FRAME)
         self._displacement = self._image_publisher("displacement")
         self._sigma = self._image_publisher("sigma")
@@ -44,7 +45,10 @@ class DicNode(ProcessingNode[DicParameters]):
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
         self.create_subscription(NodeStatus, "phase/status", self._take_phase_status, EVENTS)
-        self.create_subscription(Image, "phase/texture", self._take_texture, DERIVED)
+        if exchange is None:
+            self.create_subscription(Image, "phase/texture", self._take_texture, DERIVED)
+        else:
+            exchange.take(self, "phase", self._take_phase)
         self._frames = FrameSteps(self, PatternKind.WHITE, self._take_white)
 
     def _image_publisher(self, name: str) -> Publisher:
@@ -65,14 +69,18 @@ class DicNode(ProcessingNode[DicParameters]):
     def _take_texture(self, message: Image) -> None:
         self._join("phase/texture", to_nanoseconds(message.header.stamp), message)
 
-    def _join(self, topic: str, stamp: int, message: NodeStatus | Image) -> None:
-        joined = self._textures.add(topic, stamp, message)
+    def _take_phase(self, result: PhaseResult) -> None:
+        self._join("phase/texture", result.stamp, result.texture)
+
+    def _join(self, topic: str, stamp: int, part: NodeStatus | Image | np.ndarray) -> None:
+        joined = self._textures.add(topic, stamp, part)
         self._report_losses()
         if joined is None:
             return
-        status: NodeStatus = joined["phase/status"]
+        status, texture = joined["phase/status"], joined["phase/texture"]
         try:
-            texture = image_array(joined["phase/texture"])
+            if isinstance(texture, Image):
+                texture = image_array(texture)
         except Exception as error:
             self.fail(StepId.of(status), error)
         else:
@@ -98,9 +106,12 @@ class DicNode(ProcessingNode[DicParameters]):
     ) -> Outcome:
         self._tracker.parameters = parameters
         result = self._tracker.step(*step, texture)
+        if self.exchange is not None:
+            self.exchange.give("dic", result)
         displacement = result.displacement
         for publisher, array in ((self._displacement, displacement), (self._sigma, result.sigma)):
-            publisher.publish(image_message(array, stamp_ns=step.stamp, frame_id=self._frame))
+            if publisher.get_subscription_count():
+                publisher.publish(image_message(array, stamp_ns=step.stamp, frame_id=self._frame))
         self._grid.publish(grid_message(result, texture.shape, self._frame))
         if self._preview.get_subscription_count():
             colours = displacement_preview(displacement)

@@ -8,14 +8,13 @@ import time
 from collections import deque
 
 import numpy as np
-from pydantic import BaseModel, Field
-from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
 from fringedic.correlation.extensometer import StrainReading, VirtualExtensometer
 from fringedic.errors import CorrelationError, FringedicError
 from fringedic.patterns.pattern import PatternKind
+from fringedic.settings.extensometer import ExtensometerNodeSettings
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_array
@@ -24,30 +23,13 @@ from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.rig_node import RigNode
+from fringedic_ros.serialized import image_view
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Patience
 from fringedic_ros.work import Worker
 
 MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and of steps in white light
 TAKING_FRAMES = (StepStatus.BEGIN, StepStatus.CAPTURE)  # stages in which a free run may show a pattern of the step
-
-
-class ExtensometerParameters(BaseModel):
-    """Parameters of the extensometer node."""
-
-    first_column_px: int = Field(
-        160, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
-    )
-    first_row_px: int = Field(
-        240, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
-    )
-    second_column_px: int = Field(480, ge=0, le=32768, description="Centre of the second gauge subset [px].")
-    second_row_px: int = Field(240, ge=0, le=32768, description="Centre of the second gauge subset [px].")
-    pad_px: int = Field(48, ge=16, le=256, description="Width of a gauge subset [px].")
-    largest_sigma: float = Field(1e-3, gt=0, le=1, description="Largest standard uncertainty of a valid strain [-].")
-    frame_timeout_s: float = Field(
-        0.1, gt=0, le=10, description="Time without a frame after which the strain is invalid [s]."
-    )
 
 
 class ExtensometerNode(RigNode):
@@ -61,13 +43,13 @@ class ExtensometerNode(RigNode):
 
     def __init__(self) -> None:
         super().__init__("extensometer")
-        self.parameters = declare(self, ExtensometerParameters, self._take_parameters)
+        self.parameters = declare(self, ExtensometerNodeSettings, self._take_parameters)
         self.diagnostics = NodeDiagnostics(self)
         self._worker = Worker(self, self._fail)
         self._measuring = threading.Lock()  # a reference is not replaced while a frame is measured and published
         self._extensometer: VirtualExtensometer | None = None
         self._reference_after_ns = -math.inf  # stamp after which the exposure of the reference begins
-        self._newest: deque[tuple[Image, Exposure]] = deque(maxlen=1)
+        self._newest: deque[tuple[bytes, Exposure]] = deque(maxlen=1)
         self._step_takes_frames = False
         self._silence = Patience(self.parameters.value.frame_timeout_s)
         self._published_invalid = False
@@ -84,7 +66,7 @@ class ExtensometerNode(RigNode):
         self._worker.stop()
         super().destroy_node()
 
-    def _take_parameters(self, parameters: ExtensometerParameters) -> None:
+    def _take_parameters(self, parameters: ExtensometerNodeSettings) -> None:
         self._silence = Patience(parameters.frame_timeout_s)
         self._request_reference(time.time_ns())
 
@@ -108,28 +90,28 @@ class ExtensometerNode(RigNode):
         with self._measuring:
             self._extensometer, self._reference_after_ns = None, after_ns
 
-    def _take_frame(self, message: Image, exposure: Exposure) -> None:
+    def _take_frame(self, image: bytes, exposure: Exposure) -> None:
         if exposure.kind not in MEASURED or (exposure.kind == PatternKind.OTHER and self._step_takes_frames):
             return
         self._silence.renew()
         if self._newest:
             self.diagnostics.drop()  # replaced before it was measured
-        self._newest.append((message, exposure))
+        self._newest.append((image, exposure))
         self._worker.submit(self._measure_newest)
 
     def _measure_newest(self) -> None:
         """Measure the frame that waits; in the thread of the worker."""
         if not self._newest:
             return  # it was replaced, and its successor is measured
-        message, exposure = self._newest.popleft()
+        image, exposure = self._newest.popleft()
         with self._measuring:
             try:
-                reading = self._measure(image_array(message), exposure)
+                reading = self._measure(image_array(image_view(image)), exposure)
             except FringedicError as error:
                 reading = StrainReading.invalid(str(error))
             self._publish(reading)
         if reading.valid:
-            self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(message.header.stamp)))
+            self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(exposure.header.stamp)))
 
     def _measure(self, image: np.ndarray, exposure: Exposure) -> StrainReading:
         p = self.parameters.value
@@ -139,9 +121,11 @@ class ExtensometerNode(RigNode):
             if not begin_s > 0:  # also an exposure time that is NaN
                 reason = f"the reference is awaited: the exposure of this frame began {-begin_s:.3f} s too early for it"
                 return StrainReading.invalid(reason)
-            first, second = (p.first_column_px, p.first_row_px), (p.second_column_px, p.second_row_px)
-            self._extensometer = VirtualExtensometer(image, first, second, subset=p.pad_px)
-        return self._extensometer.measure(image).limited(p.largest_sigma)
+            (column, row), (other_column, other_row) = p.first_px, p.second_px
+            self._extensometer = VirtualExtensometer(
+                image, (column, row), (other_column, other_row), subset=p.subset_px
+            )
+        return self._extensometer.measure(image).limited(1e-6 * p.largest_sigma_ustrain)
 
     def _check_frames(self) -> None:
         # the executor runs timers before subscriptions: after a standstill of this process frames may be queued

@@ -73,7 +73,7 @@ class Camera(Peer):
 
 @pytest.fixture
 def camera() -> Iterator[Camera]:
-    rclpy.init()
+    rclpy.init(args=["--ros-args", "-p", "first_px:=[160, 240]", "-p", "second_px:=[480, 240]"])
     camera = Camera()
     yield camera
     camera.destroy_node()

@@ -102,7 +102,7 @@ class Rig(Peer):
     def change_subset(self) -> None:
         """Change the size of the gauge subsets, and restore it: each change requests a reference."""
         for size in (40, 48):
-            change = Parameter("pad_px", value=size).to_parameter_msg()
+            change = Parameter("subset_px", value=size).to_parameter_msg()
             self.ask(self._set_parameters, SetParameters.Request(parameters=[change]), "the change of parameters")
 
 
@@ -111,7 +111,8 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """The rig with a node that serves all tests of this module."""
     rclpy.init()
     rig = Rig()
-    with NodeProcess("dic_node.extensometer_node", tmp_path_factory.mktemp("extensometer"), {"frame_timeout_s": 0.3}):
+    parameters = {"first_px": [160, 240], "second_px": [480, 240], "frame_timeout_s": 0.3}
+    with NodeProcess("dic_node.extensometer_node", tmp_path_factory.mktemp("extensometer"), parameters):
         rig.ready()
         yield rig
     rig.destroy_node()

@@ -15,7 +15,7 @@ from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.sentences import (
     calibration_in_words,
     grid_in_words,
-    place_in_words,
+    placing_instruction,
     plane_in_words,
     verdict_sentence,
 )
@@ -68,7 +68,7 @@ class CalibrationProcedures:
         with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
             for run.feedback.plane, angle in enumerate(angles, start=1):
                 await self._measure_grid(run, angle, images)
-        orientation = self._steps.parameters.patterns()[-1].orientation
+        orientation = self._steps.parameters.step_patterns()[-1].orientation
         grid = await self._steps.compute(
             run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
         )
@@ -83,7 +83,7 @@ class CalibrationProcedures:
             kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
         )
         white = (ProjectedPattern(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
-        run.report(place_in_words(plane.kind, angle, 0.0))
+        run.report(placing_instruction(plane.kind, angle, 0.0))
         await self._steps.place(run, plane)
         step = await self._steps.measure(run, plane, white)
         await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
@@ -108,7 +108,7 @@ class CalibrationProcedures:
         request, result, parameters = run.goal.goal.request, run.result, self._steps.parameters
         if not parameters.projector:
             raise StepFailure(result.INVALID_GOAL, "a rig without projector needs no calibration beside its distortion")
-        planes, patterns = plane_sequence(request), parameters.patterns()
+        planes, patterns = plane_sequence(request), parameters.step_patterns()
         result.experiment = result.identifier = run.experiment.name
         setting = Setting(
             run.experiment.name,
@@ -117,6 +117,7 @@ class CalibrationProcedures:
             request.sigma_angle,
             request.sigma_height,
             (parameters.camera_first_column_px, parameters.camera_first_row_px),
+            self._steps.sensor,
         )
         await self._steps.compute(run, result.INVALID_GOAL, self._session.begin, setting)
         run.feedback.planes = len(planes)
@@ -138,7 +139,7 @@ class CalibrationProcedures:
 
         The patterns are those of the begin: the fit takes all phases as those of one pitch.
         """
-        run.report(place_in_words(plane.kind, plane.angle, plane.height))
+        run.report(placing_instruction(plane.kind, plane.angle, plane.height))
         await self._steps.place(run, plane)
         step = await self._steps.measure(run, plane, patterns, ("phase",))
         for topic in PHASE_MAPS:

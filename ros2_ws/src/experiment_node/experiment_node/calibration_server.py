@@ -21,6 +21,7 @@ from experiment_node.experiments import Experiments
 from experiment_node.plane_steps import PlaneSteps
 from fringedic.errors import FringedicError
 from fringedic.rig.model import RigModel
+from fringedic.wording.path_names import path_name
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig
 from fringedic_ros.diagnostics import NodeDiagnostics
 
@@ -110,7 +111,8 @@ class CalibrationServer:
         activity: str,
     ) -> CalibrationRun:
         experiment = self._experiments.begin()
-        folder = Path(goal.request.folder or Path(self._steps.parameters.calibration_folder) / experiment.name)
+        parent = Path(self._steps.parameters.calibration_folder)
+        folder = Path(goal.request.folder or parent / path_name(experiment.name))
         return CalibrationRun(self._slot.begin(goal, activity), result, feedback, experiment, folder.absolute())
 
     async def _run(self, run: CalibrationRun, procedure: Callable[[CalibrationRun], Awaitable[None]]) -> None:

@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 
 from experiment_node.active_goal import GoalSlot, StepFailure
 from experiment_node.calibration_server import CalibrationServer
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiments
 from experiment_node.plane_steps import PlaneSteps
 from experiment_node.rig_transforms import RigTransforms
@@ -26,7 +25,9 @@ from experiment_node.step_runner import StepRunner
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
-from fringedic.signals import summarise
+from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.signals import FORCE, POSITION
+from fringedic.steps.recorded_parameters import MODELS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, RigCalibration
 from fringedic_msgs.srv import SetReference, StartExperiment
@@ -36,7 +37,7 @@ from fringedic_ros.parameters import declare, parameters_message
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
-from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.topics import NODE_PARAMETERS
 from fringedic_ros.waiting import wait_for
 
@@ -50,7 +51,7 @@ class ExperimentNode(RigNode):
     def __init__(self) -> None:
         super().__init__("experiment")
         self._settings = self.create_publisher(NodeParameters, NODE_PARAMETERS, LATCHED_BY_MANY)
-        self.parameters = declare(self, ExperimentParameters, self._publish_later)
+        self.parameters = declare(self, ExperimentNodeSettings, self._publish_later)
         parameters = self.parameters.value
         self._publish_later(parameters)
         self._diagnostics = NodeDiagnostics(self)
@@ -91,10 +92,11 @@ class ExperimentNode(RigNode):
         self._calibrations.publish(message)
         self._transforms.publish(model, message.header.stamp)
 
-    def _publish_later(self, parameters: ExperimentParameters) -> None:
+    def _publish_later(self, parameters: ExperimentNodeSettings) -> None:
         """Record what the frames are to be measured with later, as the processing nodes would if they ran."""
-        for node, values in parameters.later().items():
-            self._settings.publish(parameters_message(node, values))
+        if parameters.record_only:
+            for node in MODELS:
+                self._settings.publish(parameters_message(node, getattr(parameters.later_parameters, node)))
 
     def _start_experiment(
         self, request: StartExperiment.Request, response: StartExperiment.Response
@@ -160,7 +162,7 @@ class ExperimentNode(RigNode):
             goal.abort()
         return result
 
-    def _begin_step(self, goal: ServerGoalHandle, parameters: ExperimentParameters) -> RunningStep:
+    def _begin_step(self, goal: ServerGoalHandle, parameters: ExperimentNodeSettings) -> RunningStep:
         request, experiment = goal.request, self._experiment
         fringes = request.mode == MeasureStep.Goal.FRINGES
         number = experiment.take_number()
@@ -169,14 +171,14 @@ class ExperimentNode(RigNode):
             goal=self._slot.begin(goal, f"step {number} is being measured{client}"),
             experiment=experiment,
             number=number,
-            patterns=parameters.patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
+            patterns=parameters.step_patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
             nodes=() if parameters.record_only else parameters.nodes,
             is_reference=request.set_reference or experiment.next_is_reference,
             on_stage=_publish_feedback,
         )
         return self._step
 
-    def _reason_to_refuse(self, request: MeasureStep.Goal, parameters: ExperimentParameters) -> StepFailure | None:
+    def _reason_to_refuse(self, request: MeasureStep.Goal, parameters: ExperimentNodeSettings) -> StepFailure | None:
         if self._slot.activity:
             who = f"{request.controller} has to" if request.controller else "you have to"
             return StepFailure(Result.BUSY, f"{self._slot.activity}; {who} wait until it has ended")
@@ -226,10 +228,8 @@ def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     if "coupling" in step.statuses:
         result.rms_displacement = step.statuses["coupling"].rms_displacement
     result.processing_time = step.processing_time
-    samples = step.load_during_exposures()
-    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    force = summarise(stamps, [sample.force for sample in samples])
-    position = summarise(stamps, [sample.position for sample in samples])
+    signals = step.signals.signals
+    force, position = (signals[each.name].summary_over(*step.exposed_over()) for each in (FORCE, POSITION))
     result.load_samples = force.samples
     result.recorded_frames, result.recorded_crc = step.recorded_frames, step.recorded_crc
     result.force_mean, result.force_range = force.mean, force.spread

@@ -8,10 +8,10 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.load_watch import JUMPED_BACK, LoadWatch
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
 from fringedic_ros.placing import STATE, PlaceWatch
@@ -55,7 +55,7 @@ class FrameTaker:
         """Return how many servers of each service are known."""
         return [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
 
-    async def await_responses(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def await_responses(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Wait until projector and camera have discovered this node, and this node the stage: nothing is lost then.
 
         Raises
@@ -77,7 +77,7 @@ class FrameTaker:
         if self._node.count_publishers(STATE) and not to_nanoseconds(self.place.placed):
             self._node.get_logger().warning(f"what the stage has placed is not waited for: {self.place.arrivals}")
 
-    async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
+    async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentNodeSettings) -> Time:
         """Show a pattern and return the stamp of it.
 
         Raises
@@ -101,7 +101,7 @@ class FrameTaker:
         self._is_white = pattern.kind is PatternKind.WHITE
         return response.shown
 
-    def leave_white(self, parameters: ExperimentParameters) -> None:
+    def leave_white(self, parameters: ExperimentNodeSettings) -> None:
         """Request white after a step that failed or was cancelled while a pattern was on the screen.
 
         Nobody waits for the answer: the record of the failure and the request to hold come first.
@@ -110,7 +110,7 @@ class FrameTaker:
             self._show.call_async(ShowPattern.Request(kind=int(PatternKind.WHITE)))
 
     async def capture(
-        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentParameters
+        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentNodeSettings
     ) -> None:
         """Expose frame `index` of a step after its pattern was `shown`.
 
@@ -147,7 +147,7 @@ class FrameTaker:
         step.exposed = time.monotonic()
 
     def _request(
-        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentParameters
+        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentNodeSettings
     ) -> CaptureFrame.Request:
         # at the first frame of each step the camera, which may have been restarted, waits for its subscribers
         topics = ("camera/image_raw", "camera/exposure")

@@ -1,28 +1,31 @@
-"""Load frame as a step observes it: the machine must hold, and force and position must not drift."""
+"""Load frame and signals as a step observes them: the machine must hold, and limited signals must not drift."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from fringedic.errors import WaitTimeoutError
-from fringedic.signals import summarise
+from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.signals import FORCE, POSITION, summarise
 from fringedic.wording.numbers import number_text
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
+from fringedic_msgs.msg import Signal as SignalMessage
 from fringedic_ros.arrivals import MOST_AHEAD_S, MOST_BEHIND_S, Arrivals
 from fringedic_ros.polled import PolledTopic
 from fringedic_ros.qos import STATE
+from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Condition
 
@@ -39,7 +42,7 @@ JUMPED_BACK = "the clock jumped back; measure the step again, and do not set the
 
 
 class LoadWatch:
-    """Collects the samples of `load_frame/state` and checks them before, during and after the exposures of a step.
+    """Collects the samples of load frame and signals and checks them before, during and after the exposures of a step.
 
     Only samples that were acquired in the meantime prove a hold. A load frame that was seen once in an experiment is
     expected from then on: a process that was stopped or killed publishes nothing, whatever the machine does.
@@ -47,7 +50,7 @@ class LoadWatch:
     Parameters
     ----------
     node
-        Owner of the subscription.
+        Owner of the subscriptions.
     changed
         Notified after each sample of a running step.
     """
@@ -61,7 +64,9 @@ class LoadWatch:
         self._arrival = self._in_time = -math.inf  # [s] of the latest sample, and of the latest one in time
         self._arrivals = Arrivals(node, LoadState, "load_frame/state")
         self._samples = PolledTopic[LoadState](node, LoadState, "load_frame/state", STATE, callback=self._take)
-        node.create_timer(IDLE_PERIOD, self._samples.read)
+        self._signals = PolledTopic[SignalMessage](node, SignalMessage, "signals", STATE, callback=self._take_signal)
+        for topic in (self._samples, self._signals):
+            node.create_timer(IDLE_PERIOD, topic.read)
 
     @property
     def latest_stamp(self) -> Time:
@@ -71,7 +76,7 @@ class LoadWatch:
     @contextmanager
     def collecting(self, step: RunningStep) -> Iterator[None]:
         """Context of a running step, which collects the samples as soon as they arrive."""
-        with self._samples.listening():
+        with self._samples.listening(), self._signals.listening():
             self._step = step
             try:
                 yield
@@ -89,13 +94,18 @@ class LoadWatch:
             _collect(self._step, message)
             self._changed.notify()
 
-    def _is_expected(self, step: RunningStep, parameters: ExperimentParameters) -> bool:
+    def _take_signal(self, message: SignalMessage) -> None:
+        if self._step is not None:
+            add_signals(self._node, self._step.signals, "signals", message)
+            self._changed.notify()
+
+    def _is_expected(self, step: RunningStep, parameters: ExperimentNodeSettings) -> bool:
         """Return whether the rig has a load frame; one that published once in an experiment belongs to it."""
         if parameters.load_frame or self._node.count_publishers("load_frame/state"):
             step.experiment.has_load_frame = True
         return step.experiment.has_load_frame
 
-    async def await_hold(self, step: RunningStep, parameters: ExperimentParameters, begin: int) -> None:
+    async def await_hold(self, step: RunningStep, parameters: ExperimentNodeSettings, begin: int) -> None:
         """Check before the first frame that an expected load frame holds, by a sample acquired since `begin` [ns].
 
         Raises
@@ -130,7 +140,7 @@ class LoadWatch:
             lambda: (Result.LOAD_NOT_HELD, f"whether the machine holds is unknown: {self._arrivals}"),
         )
 
-    def check_latest(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    def check_latest(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Check that the latest sample shows a hold, when one is required.
 
         Raises
@@ -154,7 +164,7 @@ class LoadWatch:
         if self._arrival - self._in_time > RECENT:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
-    async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def check_exposures(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Check hold and drift over the exposures of a step, whose records have arrived.
 
         Raises
@@ -164,60 +174,71 @@ class LoadWatch:
             when a drift that has a limit is unknown. One of the two when the clocks differ: force and position of the
             step, which are chosen by stamps, would be those of another time.
         """
-        if not self._is_expected(step, parameters):
+        expected = self._is_expected(step, parameters)
+        limits = [limit for limit in drift_limits(parameters) if expected or not limit.needs_load_frame]
+        if not expected and not limits:
             return
         start, end = step.exposed_over()
-        code = Result.LOAD_NOT_HELD if parameters.hold_required else Result.LOAD_DRIFT
+        hold_required = expected and parameters.hold_required
+        code = Result.LOAD_NOT_HELD if hold_required else Result.LOAD_DRIFT
         _check_camera_clock(step, code)
-        if parameters.hold_required:
+        if hold_required:
             await self._await_sample(step, max(end, step.answered_ns), SAMPLE_TIMEOUT)
-        self._check_clock(step, code)
-        if parameters.hold_required:
+        if expected:
+            self._check_clock(step, code)
+        if hold_required:
             _check_held_throughout(step.load_around_requests(), start)
-        limits = drift_limits(parameters)
+
+        def show_end() -> bool:
+            """Return whether the latest samples are from after the exposures and contain every limited signal."""
+            latest = step.signals.latest
+            if expected and (not step.load or to_nanoseconds(step.load[-1].header.stamp) < end):
+                return False
+            samples = [latest.get(limit.signal) for limit in limits]
+            return all(each is not None and each.stamp >= end and math.isfinite(each.value) for each in samples)
+
         with suppress(WaitTimeoutError):  # without these samples, a drift is unknown
-            await self._changed.wait(lambda: _latest_shows_end(step, limits), SAMPLE_TIMEOUT)
+            await self._changed.wait(show_end, SAMPLE_TIMEOUT)
         for limit in limits:
             check_drift(step, limit)
 
 
 class DriftLimit(NamedTuple):
-    """Largest change of a quantity of the load frame during the exposures of a step.
+    """Largest change of a signal during the exposures of a step.
 
     Attributes
     ----------
-    quantity
-        Its name in messages.
-    value
-        Returns its value in a sample, in `unit`.
+    signal
+        Name of the signal.
     largest
-        The limit in `unit`.
-    parameter
-        Name of the parameter with the limit.
+        The limit in the unit of the message.
+    words
+        The signal in messages.
+    cure
+        How to remove the limit.
+    unit, factor
+        Unit of the message, and this unit in that of the signal; empty: that of the signal.
     """
 
-    quantity: str
-    value: Callable[[LoadState], float]
-    unit: str
+    signal: str
     largest: float
-    parameter: str
+    words: str
+    cure: str
+    unit: str = ""
+    factor: float = 1.0
 
-    def is_known(self, sample: LoadState) -> bool:
-        """Return whether a sample contains a value of the quantity."""
-        return math.isfinite(self.value(sample))
+    @property
+    def needs_load_frame(self) -> bool:
+        """Whether the signal is one of the load frame."""
+        return self.signal in (FORCE.name, POSITION.name)
 
 
-def drift_limits(parameters: ExperimentParameters) -> list[DriftLimit]:
+def drift_limits(parameters: ExperimentNodeSettings) -> list[DriftLimit]:
     """Return the limits that the parameters set."""
+    force, position = parameters.load_drift_n, parameters.position_drift_um
     limits = (
-        DriftLimit("force", lambda sample: sample.force, "N", parameters.load_drift_n, "load_drift_n"),
-        DriftLimit(
-            "crosshead position",
-            lambda sample: 1e6 * sample.position,
-            "µm",
-            parameters.position_drift_um,
-            "position_drift_um",
-        ),
+        DriftLimit(FORCE.name, force, "force", "set load_drift_n to 0"),
+        DriftLimit(POSITION.name, position, "crosshead position", "set position_drift_um to 0", "µm", 1e6),
     )
     return [limit for limit in limits if limit.largest]
 
@@ -227,6 +248,7 @@ def _collect(step: RunningStep, sample: LoadState) -> None:
     if step.load:
         step.load_back = max(step.load_back, _seconds_between(sample, step.load[-1]))
     step.load.append(sample)
+    step.signals.add("load_frame/state", sample)
     step.load_ahead = max(step.load_ahead, _ahead(sample))
 
 
@@ -238,13 +260,6 @@ def _ahead(sample: LoadState) -> float:
 def _seconds_between(sample: LoadState, later: LoadState) -> float:
     """Return the time from the stamp of a sample to that of another one [s]."""
     return 1e-9 * (to_nanoseconds(later.header.stamp) - to_nanoseconds(sample.header.stamp))
-
-
-def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:
-    """Return whether the latest sample is from after the exposures and contains every quantity that has a limit."""
-    if not step.load or to_nanoseconds(step.load[-1].header.stamp) < step.exposed_over()[1]:
-        return False
-    return all(limit.is_known(step.load[-1]) for limit in limits)
 
 
 def _check_camera_clock(step: RunningStep, code: int) -> None:
@@ -297,7 +312,7 @@ def _check_held_throughout(samples: Sequence[LoadState], start: int) -> None:
 
 
 def check_drift(step: RunningStep, limit: DriftLimit) -> None:
-    """Check that a quantity is known throughout the exposures of a step and did not change by more than its limit.
+    """Check that a signal is known throughout the exposures of a step and did not change by more than its limit.
 
     Raises
     ------
@@ -305,31 +320,34 @@ def check_drift(step: RunningStep, limit: DriftLimit) -> None:
         LOAD_DRIFT.
     """
     start, end = step.exposed_over()
-    samples = step.load_around_exposures(limit.is_known)
-    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    if not _cover(stamps, start, end):
+    signal = step.signals.signals.get(limit.signal)
+    around = None if signal is None else signal.around(start, end)
+    if around is None or not _cover(around.stamps, start, end):
+        source = "the load frame" if limit.needs_load_frame else "its source"
         raise StepFailure(
             Result.LOAD_DRIFT,
-            f"the drift of the {limit.quantity} is unknown, because the samples of the load frame do not contain the "
-            f"{limit.quantity} throughout the exposures; check sensor and connection of the load frame and increase "
-            f"its rate, or set {limit.parameter} to 0",
+            f"the drift of the {limit.words} is unknown, because the samples of {source} do not contain the "
+            f"{limit.words} throughout the exposures; check sensor and connection of {source} and increase its rate, "
+            f"or {limit.cure}",
         )
-    inside = [index for index, stamp in enumerate(stamps) if start <= stamp <= end]
-    chosen = inside if len(inside) > 1 else range(len(stamps))  # a single sample shows no change
-    drift = summarise([stamps[each] for each in chosen], [limit.value(samples[each]) for each in chosen]).drift
+    chosen = (around.stamps >= start) & (around.stamps <= end)
+    if chosen.sum() < 2:  # a single sample shows no change
+        chosen[:] = True
+    drift = summarise(around.stamps[chosen], limit.factor * around.values[chosen]).drift
     if abs(drift) > limit.largest:
+        unit = limit.unit or around.channel.unit
         raise StepFailure(
             Result.LOAD_DRIFT,
-            f"the {limit.quantity} drifted by {number_text(drift, 3, sign=True)} {limit.unit} during the exposures, "
-            f"{limit.largest:g} {limit.unit} are allowed; hold longer before the step",
+            f"the {limit.words} drifted by {number_text(drift, 3, sign=True)} {unit} during the exposures, "
+            f"{limit.largest:g} {unit} are allowed; hold longer before the step",
         )
 
 
-def _cover(stamps: Sequence[int], start: int, end: int) -> bool:
+def _cover(stamps: np.ndarray, start: int, end: int) -> bool:
     """Return whether samples show a change from the first exposure [ns] until after the last one, without a gap."""
     if len(stamps) < 2 or stamps[0] > start + 1e9 * LONGEST_GAP or stamps[-1] < end:
         return False
-    return _longest_gap(stamps) <= LONGEST_GAP
+    return _longest_gap(stamps.tolist()) <= LONGEST_GAP
 
 
 def _longest_gap(stamps: Sequence[int]) -> float:

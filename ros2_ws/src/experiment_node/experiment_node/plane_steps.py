@@ -7,25 +7,24 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
 from experiment_node.active_goal import StepFailure
 from experiment_node.calibration_run import CalibrationRun
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.arrivals import unconnected
 from fringedic_ros.parameters import Parameters
 from fringedic_ros.placing import placing_problem
 from fringedic_ros.qos import LATCHED_BY_MANY
-from fringedic_ros.rig_node import RIG_FRAME, frame_id
+from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, LongRequest, call, wait_for
 from fringedic_ros.work import Worker
@@ -52,7 +51,7 @@ class PlaneSteps:
     """
 
     def __init__(
-        self, node: Node, changed: Condition, parameters: Parameters[ExperimentParameters], runner: StepRunner
+        self, node: RigNode, changed: Condition, parameters: Parameters[ExperimentNodeSettings], runner: StepRunner
     ) -> None:
         self._node = node
         self._changed = changed
@@ -63,7 +62,12 @@ class PlaneSteps:
         self._planes = node.create_publisher(ReferencePlane, "experiment/plane", LATCHED_BY_MANY)
 
     @property
-    def parameters(self) -> ExperimentParameters:
+    def sensor(self) -> str:
+        """Name of the sensor that is calibrated."""
+        return self._node.sensor
+
+    @property
+    def parameters(self) -> ExperimentNodeSettings:
         """The present parameters of the experiment node."""
         return self._parameters.value
 
@@ -94,7 +98,7 @@ class PlaneSteps:
                 "calibrate with `fringedic calibrate`, which asks an operator",
             ),
         )
-        what = place_in_words(plane.kind, plane.angle, plane.height)
+        what = placing_instruction(plane.kind, plane.angle, plane.height)
         with LongRequest(self._node, self._place, request) as sent:
             await run.goal.wait_polling(
                 sent.is_over,

@@ -10,9 +10,9 @@ from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCal
 from rclpy.node import Node
 
 from experiment_node.active_goal import ActiveGoal
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.frame_taker import FrameTaker
 from experiment_node.running_step import RunningStep
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.action import MeasureStep
 from fringedic_ros.arrivals import mismatches, unconnected
 from fringedic_ros.matching import Matching
@@ -68,7 +68,7 @@ class Readiness:
         self._graph_changed, self._connected_at = True, time.monotonic()
 
     async def await_nodes(
-        self, step: RunningStep, parameters: ExperimentParameters, witness: Callable[[], str]
+        self, step: RunningStep, parameters: ExperimentNodeSettings, witness: Callable[[], str]
     ) -> None:
         """Wait until all nodes of a step are connected, once per experiment and after each change of the graph.
 

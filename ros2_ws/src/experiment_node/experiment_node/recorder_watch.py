@@ -7,8 +7,8 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import RecorderStatus
 from fringedic_ros.qos import LATCHED
@@ -52,7 +52,7 @@ class RecorderWatch:
         """Whether a recorder records the results of the processing nodes."""
         return self.state == RecorderStatus.RECORDING and self._latest is not None and self._latest.derived
 
-    async def await_start(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def await_start(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Wait until the required recorder records.
 
         Raises
@@ -68,7 +68,7 @@ class RecorderWatch:
             )
             self.check(parameters)
 
-    async def await_confirmation(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def await_confirmation(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Wait until the required recorder confirms every frame of the step, with the CRCs that the camera sent.
 
         Raises
@@ -99,7 +99,7 @@ class RecorderWatch:
             return f"the recorder has {latest.step_frames} of the {frames} frames; measure the step again"
         return "the recorder has frames with another checksum than the camera sent; measure the step again"
 
-    def check(self, parameters: ExperimentParameters) -> None:
+    def check(self, parameters: ExperimentNodeSettings) -> None:
         """Check that the required recorder records.
 
         Raises

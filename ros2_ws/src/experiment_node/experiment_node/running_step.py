@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiments import Experiment
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.signals import samples_over
+from fringedic.signals import SignalCollector
 from fringedic_msgs.msg import LoadState, NodeStatus
 from fringedic_ros.result_codes import failed_node
 from fringedic_ros.stamps import to_nanoseconds
 
-LOAD_SAMPLES = 200_000  # kept, over three minutes at 1 kHz
+SAMPLES = 200_000  # kept, over three minutes at 1 kHz
 
 
 @dataclass
@@ -50,7 +50,9 @@ class RunningStep:
     statuses
         Status of each processing node that has answered.
     load
-        Samples of the load frame since the start.
+        Samples of the load frame since the start, whose modes prove a hold.
+    signals
+        Signals of the rig since the start.
     load_ahead
         Longest time by which one of them was stamped after its arrival [s]; -inf before the first.
     load_back
@@ -75,7 +77,8 @@ class RunningStep:
     exposures: dict[int, tuple[int, int]] = field(default_factory=dict)
     crcs: dict[int, int] = field(default_factory=dict)
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
-    load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
+    load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=SAMPLES))
+    signals: SignalCollector = field(default_factory=lambda: SignalCollector(SAMPLES))
     load_ahead: float = -math.inf
     load_back: float = 0.0
 
@@ -115,30 +118,12 @@ class RunningStep:
         """Return the start of the first exposure and the end of the last one [ns]."""
         return self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
 
-    def load_around_exposures(self, is_known: Callable[[LoadState], bool]) -> list[LoadState]:
-        """Return the samples from the last one before the first exposure to the first one after the last exposure.
-
-        Parameters
-        ----------
-        is_known
-            Returns whether a sample contains the quantity that is needed; the others are left out.
-        """
-        return self._load_over(*self.exposed_over(), is_known)
-
     def load_around_requests(self) -> list[LoadState]:
-        """Return the samples around the exposures and the requests for them, which prove a hold on every clock."""
-        start, end = self.exposed_over()
-        return self._load_over(min(start, self.requested_ns), max(end, self.answered_ns), lambda _: True)
+        """Return the samples of the load frame that prove a hold on every clock.
 
-    def _load_over(self, start: int, end: int, is_known: Callable[[LoadState], bool]) -> list[LoadState]:
-        samples = [sample for sample in self.load if is_known(sample)]
-        stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-        first = max(bisect_right(stamps, start) - 1, 0)
-        return samples[first : bisect_left(stamps, end) + 1]
-
-    def load_during_exposures(self) -> list[LoadState]:
-        """Return the samples between the start of the first and the end of the last exposure, or the nearest ones."""
+        They are those around the exposures and the requests for them, with the last one before and the first one after.
+        """
         start, end = self.exposed_over()
-        samples = list(self.load)
-        chosen = samples_over([to_nanoseconds(sample.header.stamp) for sample in samples], start, end)
-        return [samples[index] for index in chosen.nonzero()[0]]
+        stamps = [to_nanoseconds(sample.header.stamp) for sample in self.load]
+        first = max(bisect_right(stamps, min(start, self.requested_ns)) - 1, 0)
+        return list(self.load)[first : bisect_left(stamps, max(end, self.answered_ns)) + 1]

@@ -11,7 +11,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiment
 from experiment_node.frame_taker import FrameTaker
 from experiment_node.input_watch import InputWatch
@@ -21,6 +20,7 @@ from experiment_node.recorder_watch import RECORDER, RecorderWatch
 from experiment_node.running_step import RunningStep
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus, Reference, StepStatus
 from fringedic_ros.arrivals import Arrivals, Problem, mismatches
@@ -81,7 +81,7 @@ class StepRunner:
         message.header.stamp = to_msg(time.time_ns())
         self._references.publish(message)
 
-    async def measure(self, step: RunningStep, parameters: ExperimentParameters) -> StepFailure | None:
+    async def measure(self, step: RunningStep, parameters: ExperimentNodeSettings) -> StepFailure | None:
         """Measure one step, from the stage BEGIN to END or ERROR; return its failure, None when it succeeded."""
         self._running = step
         for arrivals in (self._records, *self._answers.values()):
@@ -113,7 +113,7 @@ class StepRunner:
         self._steps.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         return True
 
-    async def _run_stages(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def _run_stages(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         try:
             await self._become_ready(step, parameters)
         finally:
@@ -155,7 +155,7 @@ class StepRunner:
 
     # stages
 
-    async def _become_ready(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def _become_ready(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         if not self.readiness.is_outdated(step):
             return
         await self._recorder.await_start(step, parameters)
@@ -176,7 +176,7 @@ class StepRunner:
         self._publish_stage(step, StepStatus.BEGIN)
         step.report(Feedback.BEGIN)
 
-    async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def _take_frames(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         begin = time.time_ns()
         await step.goal.pause(parameters.settle_time_s)
         step.report(Feedback.CAPTURE)
@@ -198,14 +198,14 @@ class StepRunner:
             await self.frames.show(step, ProjectedPattern(PatternKind.WHITE), parameters)
         step.experiment.ready = True
 
-    async def _await_records(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def _await_records(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         await step.goal.wait(
             lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
             parameters.camera_timeout_s,
             lambda: (Result.CAMERA_FAILED, f"no exposure record of the first or last frame: {self._records}"),
         )
 
-    async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def _await_results(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         def open_nodes() -> list[str]:
             return [name for name in step.nodes if name not in step.statuses]
 

@@ -26,9 +26,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from experiment_node.experiment_parameters import ExperimentParameters
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
+from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.settings.parameters import from_parameters
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
@@ -1013,20 +1014,20 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
     [
         ({"shifts": [4, 4, 4]}, "3 numbers of shifts for 4 pitches"),
         ({"first_step": 3, "reference_step": 3}, "reference_step 3 is not before first_step 3"),
-        ({"exposure_times_s": [0.004, 0.004]}, "exposure_times_s must be above 0, 60 s at most, and differ"),
+        ({"exposures_ms": [4.0, 4.0]}, "exposures_ms must differ"),
         ({"record_only": True, "later_parameters": "{dic: {window: 3}}"}, "window"),
-        ({"record_only": True, "later_parameters": "{camera: {}}"}, "one mapping for each of phase, dic, coupling"),
-        ({"record_only": True, "later_parameters": "{dic: ["}, "later_parameters: line 1"),
+        ({"record_only": True, "later_parameters": "{camera: {}}"}, "Extra inputs"),
+        ({"record_only": True, "later_parameters": "{dic: ["}, "later_parameters is not valid YAML: line 1"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        ExperimentParameters.model_validate(parameters)
+        from_parameters(ExperimentNodeSettings, parameters)
 
 
 def test_every_pattern_is_asked_for_at_every_exposure_time() -> None:
-    parameters = ExperimentParameters(pitches_px=[800.0, 40.0], shifts=[3, 4], exposure_times_s=[0.004, 0.016])
-    shown = parameters.patterns()
+    parameters = ExperimentNodeSettings(pitches_px=[800.0, 40.0], shifts=[3, 4], exposures_ms=[4.0, 16.0])
+    shown = parameters.step_patterns()
     assert len(shown) == 14
     assert shown[::2] == shown[1::2]
     asked = [parameters.exposure_time(index, pattern) for index, pattern in enumerate(shown)]

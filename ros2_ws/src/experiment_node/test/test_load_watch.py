@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiment
 from experiment_node.load_watch import check_drift, drift_limits
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
 from fringedic_ros.stamps import to_msg
 
 START, END = 10.0, 13.0  # [s] of the exposures
 TIMES = np.arange(START - 0.5, END + 0.5, 0.1)  # [s] of the samples
-FORCE = ExperimentParameters(load_drift_n=5.0)
-POSITION = ExperimentParameters(position_drift_um=10.0)
+FORCE = ExperimentNodeSettings(load_drift_n=5.0)
+POSITION = ExperimentNodeSettings(position_drift_um=10.0)
 
 
 def measured_step(times: Sequence[float] | np.ndarray, forces: Any, positions: Any = 1e-3) -> RunningStep:
@@ -40,11 +40,11 @@ def measured_step(times: Sequence[float] | np.ndarray, forces: Any, positions: A
     for time, force, position in np.broadcast(times, forces, positions):
         sample = LoadState(mode=LoadState.HOLD, force=float(force), position=float(position))
         sample.header.stamp = to_msg(round(1e9 * time))
-        step.load.append(sample)
+        step.signals.add("load_frame/state", sample)
     return step
 
 
-def check(step: RunningStep, parameters: ExperimentParameters) -> None:
+def check(step: RunningStep, parameters: ExperimentNodeSettings) -> None:
     for limit in drift_limits(parameters):
         check_drift(step, limit)
 
@@ -63,7 +63,7 @@ def check(step: RunningStep, parameters: ExperimentParameters) -> None:
 )
 @pytest.mark.parametrize(("parameters", "name"), [(FORCE, "force"), (POSITION, "crosshead position")])
 def test_a_drift_with_a_limit_has_to_be_known(
-    is_known: Callable[[np.ndarray], np.ndarray], parameters: ExperimentParameters, name: str
+    is_known: Callable[[np.ndarray], np.ndarray], parameters: ExperimentNodeSettings, name: str
 ) -> None:
     values = np.where(is_known(TIMES), 1e-3, math.nan)
     step = measured_step(TIMES, values, 1e-3) if name == "force" else measured_step(TIMES, 100.0, values)
@@ -81,7 +81,7 @@ def test_values_that_are_missing_for_less_than_a_second_hide_no_drift() -> None:
 
 def test_a_machine_without_force_sensor_has_no_limit_of_the_force() -> None:
     check(measured_step(TIMES, math.nan), POSITION)
-    check(measured_step(TIMES, math.nan, math.nan), ExperimentParameters())
+    check(measured_step(TIMES, math.nan, math.nan), ExperimentNodeSettings())
 
 
 def test_one_sample_during_short_exposures_is_compared_with_its_neighbours() -> None:

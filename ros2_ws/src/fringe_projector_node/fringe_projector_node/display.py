@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fringedic.errors import ScreenError
+from fringedic.settings.projector import DisplayProjector
 
 _SETTLING_S = 0.2  # time in which a window manager may still move a new window
 
@@ -21,10 +22,8 @@ class DisplayScreen:
 
     Parameters
     ----------
-    display
-        Number of the display, from 0 on, in the order of the system's settings.
-    width, height
-        Size of the patterns [px], equal to the resolution of the display.
+    settings
+        Number of the display, in the order of the system's settings, and its resolution, which is that of the patterns.
 
     Raises
     ------
@@ -32,7 +31,7 @@ class DisplayScreen:
         There is no such display, or it has another size; the message lists the displays.
     """
 
-    def __init__(self, display: int, width: int, height: int) -> None:
+    def __init__(self, settings: DisplayProjector, _node: object = None) -> None:
         os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
         os.environ["SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS"] = "0"  # an operator works on another display
         import pygame
@@ -40,8 +39,8 @@ class DisplayScreen:
 
         self._pygame: Any = pygame
         self._errors = (pygame.error, sdl2.error)  # the latter comes from window, renderer and texture
-        self._display = display
-        self._size = (width, height)
+        self._display = settings.display
+        self._size = (settings.width, settings.height)
         self._origin = (0, 0)
         self._window: Any = None
         self._renderer: Any = None

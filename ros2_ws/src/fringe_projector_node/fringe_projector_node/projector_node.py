@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import Image
 
-from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.screens import Screen, VirtualScreen
 from fringedic.errors import PatternError, ScreenError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern, pattern_of_message
 from fringedic.patterns.render import render_pattern
 from fringedic.patterns.response import ResponseCurve
-from fringedic.settings.base import HardwareNodeSettings
+from fringedic.settings.projector import ProjectorNodeSettings
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_message
 from fringedic_ros.lifecycle import HardwareNode
@@ -29,29 +26,11 @@ _CHECK_PERIOD_S = 0.1
 _KEPT_PATTERNS = 64  # more than a sequence has: the steps after the first do not render
 
 
-class ProjectorParameters(HardwareNodeSettings):
-    """Parameters of the projector node."""
-
-    screen: Literal["virtual", "display"] = Field(
-        "virtual", description="virtual: patterns for the camera of the virtual rig; display: a real projector."
-    )
-    display: int = Field(
-        0, ge=0, le=15, description="Screen `display`: number of the display of the projector, from 0 on."
-    )
-    width_px: int = Field(800, ge=16, le=16384, description="Columns of the projector [px].")
-    height_px: int = Field(600, ge=16, le=16384, description="Rows of the projector [px].")
-    response_file: str = Field(
-        "",
-        description="YAML file of the response curve of projector and camera, for which fringes and Gray codes are "
-        "pre-compensated; empty: no pre-compensation.",
-    )
-
-
-class ProjectorNode(HardwareNode[ProjectorParameters]):
+class ProjectorNode(HardwareNode[ProjectorNodeSettings]):
     """Service `projector/show`; topic `projector/image`."""
 
     def __init__(self) -> None:
-        super().__init__("projector", ProjectorParameters)
+        super().__init__("projector", ProjectorNodeSettings)
         self._screen: Screen = VirtualScreen()
         self._shown_ns = 0
         self._images = self.create_publisher(Image, "projector/image", LATCHED)
@@ -62,9 +41,10 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         self.create_timer(_CHECK_PERIOD_S, self._check, callback_group=screen)
 
     def open(self) -> None:
-        """Open the screen with the size of the parameters."""
-        width, height = self.parameters.value.width_px, self.parameters.value.height_px
-        file = self.parameters.value.response_file
+        """Open the screen that the parameters select."""
+        settings = self.parameters.value
+        width, height = settings.size
+        file = settings.device.response_curve
         response = ResponseCurve.load(file) if file else None
 
         @lru_cache(maxsize=_KEPT_PATTERNS)
@@ -72,10 +52,7 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
             return render_pattern(pattern, width, height, name, response=response)
 
         self._render = render
-        if self.parameters.value.screen == "display":
-            self._screen = DisplayScreen(self.parameters.value.display, width, height)
-        else:
-            self._screen = VirtualScreen()
+        self._screen = settings.device.open(self)
 
     def activate(self) -> None:
         """Start with a dark screen."""

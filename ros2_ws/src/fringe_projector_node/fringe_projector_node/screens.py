@@ -7,6 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from fringedic.settings.projector import VirtualProjector
+
 
 class Screen(Protocol):
     """A screen that shows patterns."""
@@ -53,3 +55,8 @@ class VirtualScreen:
 
     def close(self) -> None:
         """Do nothing: no device is open."""
+
+
+def open_virtual_screen(_settings: VirtualProjector, _node: object) -> VirtualScreen:
+    """Return the screen of a virtual rig."""
+    return VirtualScreen()

@@ -18,12 +18,14 @@ from fringe_projector_node.testing import VirtualDisplay, WindowManager
 from fringedic.errors import ScreenError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
+from fringedic.settings.projector import DisplayProjector
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.testing import NodeProcess, Peer
 
 pytestmark = pytest.mark.hardware
 
 WIDTH, HEIGHT = 640, 480
+PROJECTOR = DisplayProjector(width=WIDTH, height=HEIGHT)
 
 
 def shown_in_time(display: VirtualDisplay, pattern: np.ndarray) -> bool:
@@ -56,7 +58,7 @@ def display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Virtual
 )
 def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: ProjectedPattern) -> None:
     pattern = render_pattern(projection, WIDTH, HEIGHT)
-    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    screen = DisplayScreen(PROJECTOR)
     before = time.time_ns()
     shown = screen.show(pattern)
     assert before < shown <= time.time_ns()
@@ -76,14 +78,14 @@ def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: Projec
 @pytest.mark.usefixtures("display")
 def test_wrong_display_is_named(number: int, size: tuple[int, int], words: str) -> None:
     with pytest.raises(ScreenError, match=words):
-        DisplayScreen(number, *size)
+        DisplayScreen(DisplayProjector(display=number, width=size[0], height=size[1]))
 
 
 def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ScreenError, match="there is no display"):
-        DisplayScreen(0, WIDTH, HEIGHT)
+        DisplayScreen(PROJECTOR)
 
 
 def refuse(*_: object, **__: object) -> None:
@@ -95,8 +97,8 @@ def test_graphics_driver_that_fails(display: VirtualDisplay, monkeypatch: pytest
     with monkeypatch.context() as failing:
         failing.setattr(video, "Renderer", refuse)
         with pytest.raises(ScreenError, match="a window cannot be opened on display 0: out of memory; check"):
-            DisplayScreen(0, WIDTH, HEIGHT)
-    screen = DisplayScreen(0, WIDTH, HEIGHT)
+            DisplayScreen(PROJECTOR)
+    screen = DisplayScreen(PROJECTOR)
     pattern = render_pattern(ProjectedPattern(PatternKind.WHITE), WIDTH, HEIGHT)
     monkeypatch.setattr(screen, "_texture", SimpleNamespace(update=refuse))
     with pytest.raises(ScreenError, match="the display does not accept the pattern: out of memory"):
@@ -123,7 +125,7 @@ def check_for_10_s(screen: DisplayScreen) -> None:
     ],
 )
 def test_window_that_is_lost_opens_again(display: VirtualDisplay, what: str, values: tuple, words: str) -> None:
-    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    screen = DisplayScreen(PROJECTOR)
     pattern = render_pattern(ProjectedPattern(PatternKind.FRINGES, pitch=20.0, shift=1, shifts=4), WIDTH, HEIGHT)
     screen.show(pattern)
     with WindowManager() as manager:
@@ -140,7 +142,7 @@ def test_window_that_is_lost_opens_again(display: VirtualDisplay, what: str, val
 
 def test_display_at_another_resolution_is_refused_until_it_is_restored(display: VirtualDisplay) -> None:
     """No window manager resizes the window, and SDL gets no event."""
-    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    screen = DisplayScreen(PROJECTOR)
     pattern = render_pattern(ProjectedPattern(PatternKind.WHITE), WIDTH, HEIGHT)
     screen.show(pattern)
     display.change_resolution(320, 240)
@@ -158,7 +160,7 @@ def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> N
     rclpy.init()
     operator = Peer()
     show = operator.create_client(ShowPattern, "projector/show")
-    parameters = {"screen": "display", "width_px": WIDTH, "height_px": HEIGHT}
+    parameters = {"source": "display", "width": WIDTH, "height": HEIGHT}
     try:
         with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
             for request, name in (

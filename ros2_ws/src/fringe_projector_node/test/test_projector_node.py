@@ -42,7 +42,7 @@ class Audience(Peer):
 def audience(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Audience]:
     rclpy.init()
     audience = Audience()
-    size = {"width_px": WIDTH, "height_px": HEIGHT}
+    size = {"width": WIDTH, "height": HEIGHT}
     with NodeProcess("fringe_projector_node.projector_node", tmp_path_factory.mktemp("projector"), size):
         yield audience
     audience.destroy_node()

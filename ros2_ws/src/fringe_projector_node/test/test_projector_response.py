@@ -23,7 +23,7 @@ def test_patterns_make_up_for_the_response_curve(tmp_path: Path) -> None:
     curve = ResponseCurve(tuple(float(value) for value in (np.arange(256) / 255) ** 2.2))
     curve.save(tmp_path / "response.yaml")
     curve = ResponseCurve.load(tmp_path / "response.yaml")
-    parameters = {"width_px": WIDTH, "height_px": HEIGHT, "response_file": str(tmp_path / "response.yaml")}
+    parameters = {"width": WIDTH, "height": HEIGHT, "response_curve": str(tmp_path / "response.yaml")}
     fringes = ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4)
     rclpy.init()
     audience = Peer()

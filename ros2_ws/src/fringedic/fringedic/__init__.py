@@ -68,15 +68,17 @@ _public_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name, and the methods ``dataset.fringedic`` as soon as xarray is there."""
+    """Load a public name, the methods ``dataset.fringedic`` with xarray, and the announcement of a compilation."""
     value = _public_name(name)
-    _register_methods()
+    _register()
     return value
 
 
-def _register_methods() -> None:
+def _register() -> None:
     if "xarray" in sys.modules:
         import_module("fringedic.accessor")
+    if "numba" in sys.modules:
+        import_module("fringedic.warm_up.announcement")
 
 
-_register_methods()
+_register()

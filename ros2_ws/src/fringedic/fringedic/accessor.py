@@ -36,10 +36,11 @@ class ExperimentAccessor:
     Examples
     --------
     >>> import fringedic
-    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
-    >>> experiment.fringedic.plot("w")  # doctest: +SKIP
-    >>> gauge = experiment.fringedic.extensometer((200, 480), (1000, 480), subset=21)  # doctest: +SKIP
-    >>> strain = experiment.fringedic.strain(window=41, measures=["von_mises"])  # doctest: +SKIP
+    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")
+    >>> axes = experiment.fringedic.plot("w")
+    >>> gauge = experiment.fringedic.extensometer((40, 60), (120, 60), subset=11)
+    >>> round(1e3 * float(gauge.strain[-1]), 1)  # [1e-3]
+    -2.0
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:
@@ -116,12 +117,18 @@ class ExperimentAccessor:
         return remove_rigid_motion(self._dataset, region)
 
     def force_curve(
-        self, strain: ArrayLike, *, section: float | None = None, tare: float = 0.0, sign: int = 1
+        self,
+        strain: ArrayLike,
+        *,
+        section: float | None = None,
+        tare: float = 0.0,
+        sign: int = 1,
+        load: str = "force",
     ) -> xr.Dataset:
         """Return force and stress against a strain; see `fringedic.evaluation.force_curve`."""
         from fringedic.evaluation.force import force_curve
 
-        return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign)
+        return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign, load=load)
 
     def compare_with_truth(self, truth: str | os.PathLike[str]) -> xr.Dataset:
         """Return the errors against the truth of a virtual rig; see `fringedic.evaluation.compare_with_truth`."""

@@ -16,6 +16,7 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -31,18 +32,20 @@ from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import MoveStoppedError, RigBusyError, StepFailedError, WaitTimeoutError
+from fringedic.signals import SignalCollector
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, StepStatus
+from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, Signal, StepStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.arrivals import Arrivals, unconnected
 from fringedic_ros.goals import RepeatedGoal
 from fringedic_ros.placing import PlaceWatch, placing_problem
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
+from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import LOST_S, LongRequest, Patience, RepeatedRequest
 
@@ -60,7 +63,7 @@ HEARTBEATS_S = 0.5
 STEP_TIMEOUT_S = 3600.0
 PERSON_S = 86_400.0  # for a person to place a plane, who may go home before
 CANCEL_AGAIN_S = 0.5  # between two requests to end a move
-STRAIN_S, MISSED = 2.0, 3  # without a new strain, and in periods of the strain, after which it is not known
+SILENT_S, MISSED = 2.0, 3  # without a new value, and in its periods, after which it is not known
 
 
 class RigClient:
@@ -124,10 +127,11 @@ class RigClient:
         self.node.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self._load: LoadState | None = None
         self._load_arrivals = Arrivals(self.node, LoadState, "load_frame/state")
-        self._strain = self._strain_of_step = math.nan
-        self._strain_came = deque[float](maxlen=10)
-        self._strain_silence = Patience(STRAIN_S)
+        self._signals = SignalCollector(longest=1)
+        self._followed: defaultdict[str, _Followed] = defaultdict(_Followed)  # signals by their name
+        self._strain = _Followed()
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
+        self.node.create_subscription(Signal, "signals", lambda message: self._take_signals("signals", message), STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
         self._cancels_sent = False  # it is cancelled when its acceptance arrives
@@ -211,17 +215,16 @@ class RigClient:
 
     @property
     def reading(self) -> Reading:
-        """Latest force [N] and strain [-]; NaN before the first sample."""
-        return Reading(math.nan if self._load is None else self._load.force, self._strain)
-
-    def _present_reading(self) -> Reading:
-        """Return the latest force and strain; a strain that no longer arrives is NaN."""
-        return self.reading._replace(strain=math.nan) if self._strain_silence.is_over() else self.reading
+        """Latest signals, such as the force [N], and strain [-]; NaN before the first sample."""
+        return self._read(lambda followed: followed.latest)
 
     @property
-    def strain_of_step(self) -> float:
-        """Latest valid strain of the extensometer during the last step [-]; NaN when there was none."""
-        return self._strain_of_step
+    def reading_of_step(self) -> Reading:
+        """Latest signals and strain during the last step that are not NaN; NaN when there were none."""
+        return self._read(lambda followed: followed.of_step)
+
+    def _read(self, value: Callable[[_Followed], float]) -> Reading:
+        return Reading({name: value(each) for name, each in self._followed.items()}, value(self._strain))
 
     def move(
         self,
@@ -242,7 +245,7 @@ class RigClient:
         until
             Called with the samples of the load frame that reach this client; when it returns true the machine is
             requested to hold. A busy computer delays samples and request without limit: for what only a client knows.
-            A strain that has not come for 2 s and three of its periods is NaN.
+            A signal or strain that has not come for 2 s and three of its periods is NaN.
 
         Raises
         ------
@@ -264,13 +267,14 @@ class RigClient:
         self._load_arrivals.renew()
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: str(self._load_arrivals))
         sent = self._send(self._move, goal, what, lambda _: None)
-        self._strain_silence.renew()
+        for followed in (self._strain, *self._followed.values()):
+            followed.renew()
         stopped, again = False, 0.0
 
         def over() -> bool:
             nonlocal stopped, again
             ended = sent.request_result()
-            stopped = stopped or bool(not ended and until(self._present_reading()))
+            stopped = stopped or bool(not ended and until(self._read(_Followed.present)))
             if stopped and not ended and time.monotonic() > again:  # a request may be lost
                 again = time.monotonic() + CANCEL_AGAIN_S
                 sent.handle.cancel_goal_async()
@@ -293,6 +297,24 @@ class RigClient:
             timeout_s,
             lambda: unconnected(self.node, Float64, topic),
         )
+
+    def wait_for_signals(self, names: AbstractSet[str], timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait for a sample of each of these signals.
+
+        Raises
+        ------
+        WaitTimeoutError
+            One has not come; the message names it, and those that have come.
+        """
+
+        def missing() -> str:
+            come = ", ".join(sorted(self._followed)) or "none"
+            return (
+                f"no sample of {', '.join(sorted(names - self._followed.keys()))} has come on signals; signals that "
+                f"have come: {come}. Correct the name in the condition, or start the node that publishes it"
+            )
+
+        self.wait_for(lambda: names <= self._followed.keys(), timeout_s, missing)
 
     def hold(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Request the machine to stop and hold; its own limits and emergency stop stay in charge.
@@ -403,7 +425,8 @@ class RigClient:
             The step ended with an error; the message names experiment and step.
         """
         goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference, controller=self._name)
-        self._strain_of_step = math.nan
+        for followed in (self._strain, *self._followed.values()):
+            followed.of_step = math.nan
         result = self._goal(self._measure, goal, "measure_step", feedback)
         self._take_number(result)
         return _without_error(result)
@@ -500,7 +523,7 @@ class RigClient:
         WaitTimeoutError
             There is no server of ``reference_plane/place`` any more, or it does not answer.
         """
-        what = place_in_words(kind, angle, height)
+        what = placing_instruction(kind, angle, height)
         request = PlaceReferencePlane.Request(kind=kind, angle=angle, height=height)
         with LongRequest(self.node, self._place, request) as sent:
             self.wait_for(sent.is_over, self._placing_s, lambda: f"{what}: {self._place.srv_name}: no answer")
@@ -723,15 +746,48 @@ class RigClient:
     def _take_load(self, message: LoadState) -> None:
         self._load = message
         self._load_arrivals.take_stamped(to_nanoseconds(message.header.stamp))
+        self._take_signals("load_frame/state", message)
 
     def _take_strain(self, message: Float64) -> None:
-        self._strain_came.append(time.monotonic())
-        periods = [later - earlier for earlier, later in pairwise(self._strain_came)]
-        usual = statistics.median(periods) if periods else 0.0
-        self._strain_silence = Patience(max(STRAIN_S, MISSED * usual))
-        self._strain = message.data
-        if math.isfinite(message.data):
-            self._strain_of_step = message.data
+        self._strain.take(message.data)
+
+    def _take_signals(self, topic: str, message: Any) -> None:
+        for name in add_signals(self.node, self._signals, topic, message):
+            self._followed[name].take(self._signals.latest[name].value)
+
+
+class _Followed:
+    """Values that arrive live.
+
+    Attributes
+    ----------
+    latest
+        The latest value; NaN before the first.
+    of_step
+        The latest one during the last step that is not NaN; NaN when there was none.
+    """
+
+    def __init__(self) -> None:
+        self.latest = self.of_step = math.nan
+        self._came = deque[float](maxlen=10)
+        self._silence = Patience(SILENT_S)
+
+    def take(self, value: float) -> None:
+        """Take a value that arrives now."""
+        self._came.append(time.monotonic())
+        periods = [later - earlier for earlier, later in pairwise(self._came)]
+        self._silence = Patience(max(SILENT_S, MISSED * statistics.median(periods or [0.0])))
+        self.latest = value
+        if math.isfinite(value):
+            self.of_step = value
+
+    def renew(self) -> None:
+        """Begin to wait for the next value."""
+        self._silence.renew()
+
+    def present(self) -> float:
+        """Return the latest value; NaN if no value has come for 2 s and three of its periods."""
+        return math.nan if self._silence.is_over() else self.latest
 
 
 def _without_error(result: Any) -> Any:

@@ -12,7 +12,7 @@ from fringedic_bringup.launch.launch_arguments import PREFIX, LaunchArguments, l
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe one process per node of the rig file."""
+    """Describe the processes of the nodes of the rig file."""
     arguments = [
         DeclareLaunchArgument(name, default_value=str(field.default), description=field.description)
         for name, field in LaunchArguments.model_fields.items()
@@ -26,11 +26,11 @@ def _nodes(context: LaunchContext) -> list[Action]:
     rig = launched_rig(arguments)
     return [
         Node(
-            package=process.node.package,
-            executable=process.node.executable,
-            name=process.node.name,
+            package=process.nodes[0].package,
+            executable=process.nodes[0].executable,
+            name=process.node_name,
             namespace=rig.namespace,
-            parameters=[str(process.parameter_file)],
+            parameters=[str(file) for file in process.parameter_files],
             ros_arguments=["--log-level", arguments.log_level],
             additional_env=rig.environment,
             respawn=process.respawn,

@@ -150,13 +150,14 @@ def test_phase_replaces_neither_dataset_nor_picture(
     assert file.read_bytes() != b"previous"
 
 
-@pytest.mark.parametrize(("command", "kind"), [("process", "plate.nc: would be the dataset"), ("replay", "folder")])
-def test_recordings_of_the_same_name_are_refused(command: str, kind: str, refusal: Refusal, tmp_path: Path) -> None:
+def test_recordings_of_the_same_name_have_datasets_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     bags = [tmp_path / folder / "plate" / "bag" for folder in ("spring", "autumn")]
     for bag in bags:
         shutil.copytree(RECORDED / "bag", bag)
-    assert f"{kind} of two recordings" in refusal(command, *bags, "--output", tmp_path / "again")
-    assert not (tmp_path / "again").exists()
+    assert run_command(monkeypatch, "process", *bags, "--output", tmp_path / "again") == 0
+    assert {file.name for file in (tmp_path / "again").iterdir()} == {"spring_plate.nc", "autumn_plate.nc"}
 
 
 @pytest.mark.parametrize("command", ["export", "report"])

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from rclpy.action import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -21,7 +22,7 @@ from fringedic.errors import MoveStoppedError, NodeDiedError, StepFailedError, W
 from fringedic_bringup import client
 from fringedic_bringup.client import RigClient
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import LoadState, StepStatus
+from fringedic_msgs.msg import LoadState, Signal, StepStatus
 from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.spinning import Spinning
 from fringedic_ros.waiting import AGAIN_S, sleep
@@ -43,6 +44,7 @@ class Rig(Node):
         self.steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
         self.loads = self.create_publisher(LoadState, "load_frame/state", STATE)
         self.strains = self.create_publisher(Float64, "extensometer/strain", STATE)
+        self.signals = self.create_publisher(Signal, "signals", STATE)
         group = ReentrantCallbackGroup()
         options = {"callback_group": group, "cancel_callback": lambda _: CancelResponse.ACCEPT}
         ActionServer(self, MeasureStep, "measure_step", self._measure, **options)
@@ -182,7 +184,7 @@ def test_a_step_goes_on_after_its_client_stood_still(is_absent: bool, monkeypatc
 
 def test_a_strain_is_known_after_its_client_stood_still(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A strain that is not known ends a move."""
-    monkeypatch.setattr(client, "STRAIN_S", 0.5)
+    monkeypatch.setattr(client, "SILENT_S", 0.5)
     seen: list[float] = []
 
     def stand_still(reading: Reading) -> bool:
@@ -245,23 +247,33 @@ def test_the_steps_of_all_controllers_are_counted(rig: Rig) -> None:
         assert controller.last_step == -1, "no step of this client"
 
 
-def test_a_strain_that_no_longer_comes_is_not_known(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_strain_or_a_signal_that_no_longer_comes_is_not_known(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its publisher stands still in a move until a strain: the machine went on to the position."""
-    monkeypatch.setattr(client, "STRAIN_S", 0.3)
+    monkeypatch.setattr(client, "SILENT_S", 0.3)
     seen: list[float] = []
+    grip = Signal(name="grip", quantity="temperature", unit="K", stamps=[Time()], values=[295.0], sigmas=[0.5])
     with RigClient() as controller:
-        for publisher in (rig.strains, rig.loads):
+        for publisher in (rig.strains, rig.loads, rig.signals):
             controller.wait_for(publisher.get_subscription_count, 30, lambda: "the subscription of the client")
+        rig.signals.publish(Signal(name="grip", values=[290.0]))  # incomplete, and ignored
         for _ in range(9):
             rig.strains.publish(Float64(data=0.01))
+            rig.signals.publish(grip)
             controller.sleep(0.01)
         rig.loads.publish(LoadState())
         controller.wait_for(lambda: controller.reading.strain == 0.01, 30, lambda: "the strain")
 
         def unknown(reading: Reading) -> bool:
             seen.append(reading.strain)
-            return math.isnan(reading.strain)
+            temperatures.append(reading.signals["grip"])
+            return math.isnan(reading.strain) and math.isnan(reading.signals["grip"])
 
+        temperatures: list[float] = []
+        controller.wait_for_signals({"force", "grip"})
+        with pytest.raises(
+            WaitTimeoutError, match=r"no sample of girp has come on signals; .*: force, grip, position\."
+        ):
+            controller.wait_for_signals({"girp"}, 0.1)
         controller.move(SLOW, until=unknown)
-    assert seen[0] == 0.01
-    assert math.isnan(seen[-1])
+    assert (seen[0], temperatures[0]) == (0.01, 295.0)
+    assert math.isnan(seen[-1] + temperatures[-1])

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from fringedic.command import app, main
-from fringedic.command.app import parameter_values, title_of
+from fringedic.command.app import parameter_values
 from fringedic.command.folders import unused_folder
 from fringedic.command.progress import LiveProgress
 from fringedic.errors import ConfigurationError
@@ -119,10 +119,3 @@ def test_folders_are_not_used_twice(tmp_path: Path) -> None:
     (tmp_path / "demo").mkdir()
     (tmp_path / "demo-2").mkdir()
     assert unused_folder(tmp_path / "demo") == tmp_path / "demo-3"
-
-
-def test_recording_has_the_name_of_its_run() -> None:
-    assert title_of(Path("recordings/plate-7/bag")) == "plate-7"
-    assert title_of(Path("recordings/bag_replayed")) == "bag_replayed"
-    assert title_of(Path("recordings/plate.7")) == "plate.7"
-    assert title_of(Path("recordings/plate.7/plate_0.mcap")) == "plate_0"

@@ -3,18 +3,9 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
-import pytest
 import yaml
-
-from fringedic.errors import RigSetupError
-from fringedic.patterns.pattern import ProjectedPattern
-from fringedic_bringup.procedures.exposing import WHITE
-from fringedic_bringup.procedures.timing import TimingSession
 
 RIG = """
 virtual_rig:
@@ -46,36 +37,6 @@ def test_delay_and_refresh_of_a_late_projector(tmp_path: Path) -> None:
     assert "settle time of 5 ms is too short" in " ".join(ended.stdout.split())
     assert "settle_ms: 50\n" in ended.stdout
     assert (tmp_path / "timing" / "timing.png").stat().st_size > 10_000
-
-
-class SteadyProjector:
-    """Client of a camera whose image of white is a little brighter each time, from 1010 on."""
-
-    def __init__(self) -> None:
-        self._white, self._level = 1000, 0
-
-    def show(self, pattern: ProjectedPattern, _: str = "") -> int:
-        self._white += 10
-        self._level = self._white if pattern == WHITE else 10
-        return time.time_ns()
-
-    def expose(self, exposure_time: float) -> tuple[np.ndarray, SimpleNamespace]:
-        image = np.full((40, 40), self._level, np.uint16)
-        return image, SimpleNamespace(stamp=time.time_ns(), exposure_time=exposure_time)
-
-
-def test_dark_images_are_not_saturated_when_the_rig_file_states_their_bits() -> None:
-    """Images below 1024 look like those of 10 bits."""
-
-    def dark_and_white(full_scale: float) -> None:
-        session = TimingSession(SteadyProjector(), 0.001, 0.02, full_scale)
-        session.find_light()
-        session.capture_change()
-        session.capture_change()
-
-    dark_and_white(4095.0)
-    with pytest.raises(RigSetupError, match="are saturated"):
-        dark_and_white(0.0)
 
 
 def test_a_rig_without_projector_is_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from fringedic.configuration.conditions import Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import (
     ConfigurationError,
@@ -73,7 +74,8 @@ class Rig:
         self.used: list[int] = []
         self.held = self.cancelled = 0
         self.no_hold = ""
-        self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
+        self.last_step, self.reference, self.recorder = -1, 0, None
+        self.reading_of_step = Reading(strain=0.0)
         self.load: LoadState | None = None
         self.stop: MoveStoppedError | None = None  # of the move under way when it is cancelled
         self.ends: list[StepStatus] = []
@@ -180,6 +182,8 @@ class Rig:
             raise WaitTimeoutError("not ready: recorder on dic/status")
 
     def wait_for_strain(self) -> None: ...
+
+    def wait_for_signals(self, _: object) -> None: ...
 
     def wait_until_started(self, *_: object) -> None: ...
 

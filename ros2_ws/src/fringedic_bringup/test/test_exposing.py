@@ -17,8 +17,9 @@ from rclpy.task import Future
 from sensor_msgs.msg import Image
 
 from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import WHITE
 from fringedic_bringup.launch.environment import private_domain
-from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 from fringedic_msgs.msg import Exposure
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
 from fringedic_ros.images import image_message

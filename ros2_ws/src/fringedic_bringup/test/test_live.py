@@ -49,7 +49,7 @@ def test_drawing_is_large() -> None:
 
 
 def test_nodes_of_the_live_view() -> None:
-    graph = live_graph(load_rig_file(TINY), TINY, [8, 8, 64, 48])
+    graph = live_graph(load_rig_file(TINY), [8, 8, 64, 48])
     assert sorted(graph.names) == ["camera", "live_view", "projector", "stage"]
     view = next(node for node in graph.nodes if node.name == "live_view")
     assert view.parameters == {"full_scale_grey_level": 255.0, "region_px": [8, 8, 64, 48]}

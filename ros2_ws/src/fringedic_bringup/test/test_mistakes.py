@@ -164,7 +164,7 @@ MISTAKES = [
     Mistake("calibrate tiny --angles-deg 0,-95,95", UNUSABLE, "80"),
     Mistake("init new.yaml --camera webcam", MISWRITTEN, "'webcam'"),
     Mistake(f"init new.yaml --image-size 1280 {ANSWERS}", UNUSABLE, "image size 1280: give width and height in px"),
-    Mistake(f"init new.yaml --image-size 8x8 {ANSWERS}", UNUSABLE, "camera: width is 8; at least 16 px are needed"),
+    Mistake(f"init new.yaml --image-size 8x8 {ANSWERS}", UNUSABLE, "camera: width is 8; at least 16 px"),
     Mistake(f"init rig.yaml --image-size 1280x960 {ANSWERS}", UNUSABLE, "rig.yaml exists already"),
     Mistake("check rig.yaml", UNUSABLE, "nothing to check"),
     Mistake(

@@ -9,12 +9,11 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from fringedic.command.outcome import RunReport, StepReport
 from fringedic.errors import FringedicError, NodeDiedError, OperatorError, RecordingError
 from fringedic_bringup.operating import procedures
-from fringedic_bringup.operating.options import CheckOptions, TimingOptions
-from fringedic_bringup.operating.procedures import Place, Request, execute, requested
+from fringedic_bringup.operating.procedures import PROCEDURES, Place, Request, execute, requested
 from fringedic_bringup.operating.status import Job, Outcome, State, StoppedError
-from fringedic_bringup.procedures.outcome import RunReport, StepReport
 
 PROGRAMME = "{experiment: plate, steps: [{}]}"
 
@@ -138,15 +137,21 @@ def test_whatever_is_wrong_is_a_failure_with_a_reason(tmp_path: Path, request_: 
 
 
 def test_options_are_those_of_the_command() -> None:
-    assert requested("timing", options="{exposure_ms: 2}").options == TimingOptions(exposure_ms=2.0)
-    assert requested("check", options='{"vdi": true}').options == CheckOptions(vdi=True)
-    assert requested("check").options == CheckOptions(distance_mm=5.0)
+    """Names, types, limits and defaults come from the declaration of the command."""
+    assert requested("timing", options="{exposure_ms: 2}").options.model_dump() == {
+        "exposure_ms": 2.0,
+        "longest_ms": 300.0,
+    }
+    assert requested("check", options='{"vdi": true}').options.model_dump() == {"distance_mm": 5.0, "vdi": True}
+    assert requested("advise").options.model_dump()["strain_window_points"] == 5
+    assert all(procedure.options(name)() for name, procedure in PROCEDURES.items())
 
 
 @pytest.mark.parametrize(
     ("procedure", "options", "words"),
     [
         ("noise", "{steps: 0}", "noise: steps: Input should be greater than or equal to 3 (it is 0)"),
+        ("timing", "{exposure_ms: 0.01}", "timing: exposure_ms: Input should be greater than or equal to 0.05"),
         ("noise", "{step: 5}", "noise: step: unknown key; known are steps"),
         ("check", "{distance_mm: .nan}", "check: distance_mm: Input should be a finite number"),
         ("timing", "[3]", "timing: the options are no mapping; write them as {exposure_ms: 3.0}"),

@@ -20,7 +20,7 @@ from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch import processes
 from fringedic_bringup.launch.environment import SHARED_MEMORY, node_environment, private_domain, remove_stale_segments
-from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.launch.graph import COMPOSED, Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.run import load_rig
@@ -251,6 +251,21 @@ def test_nodes_listen_to_this_computer_alone(tmp_path: Path) -> None:
             assert time.monotonic() < end, "the node does not listen at all"
             time.sleep(0.05)
         assert addresses == {"127.0.0.1"}
+
+
+def test_nodes_of_one_process_end_and_start_together(tmp_path: Path) -> None:
+    names = ["phase", "dic", "coupling"]
+    entries = tuple(NodeEntry(name, "fringedic_bringup", COMPOSED, process=COMPOSED) for name in names)
+    with private_domain() as domain, RunningGraph(Graph("rig", entries), tmp_path, domain=domain) as running:
+        (first,) = {running.pid(name) for name in names}
+        running.kill(["dic"])
+        assert list(running.dead()) == names
+        for name in names:
+            running.restart(name)
+        (second,) = {running.pid(name) for name in names}
+        assert first != second
+        assert not running.dead()
+        assert {running.log(name).name for name in names} == {"processing.log"}
 
 
 def test_an_executable_that_is_not_installed_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import rclpy
 
 from coupling_node.coupling_node import CouplingNode
 from dic_node.dic_node import DicNode
+from fringedic_ros.exchange import Exchange
 from fringedic_ros.processing import ProcessingNode
 from fringedic_ros.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, RAW_TOPICS
 from phase_node.phase_node import PhaseNode
@@ -31,6 +32,19 @@ def test_a_processing_node_subscribes_to_its_declared_inputs(name: str, kind: ty
     published = {publisher.topic_name for publisher in node.publishers}
     node.destroy_node()
     assert subscribed == {f"/{topic}" for topic in PROCESSING_INPUTS[name]}
+    assert {f"/{topic}" for topic in PUBLISHED[name]} <= published
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.parametrize(("name", "kind"), [("dic", DicNode), ("coupling", CouplingNode)])
+def test_a_composed_node_takes_results_from_its_process(name: str, kind: type[ProcessingNode]) -> None:
+    """All maps and clouds are still published for others."""
+    node = kind(Exchange())
+    subscribed = {subscription.topic_name for subscription in node.subscriptions} - OF_EVERY_NODE
+    published = {publisher.topic_name for publisher in node.publishers}
+    node.destroy_node()
+    whole = {f"/{topic}" for topic in DERIVED_TOPICS if not topic.endswith("/status")}
+    assert subscribed == {f"/{topic}" for topic in PROCESSING_INPUTS[name]} - whole
     assert {f"/{topic}" for topic in PUBLISHED[name]} <= published
 
 

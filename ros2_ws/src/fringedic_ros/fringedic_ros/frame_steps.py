@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from sensor_msgs.msg import Image
-
+from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.collector import FrameCollector, Stack
-from fringedic.frames.records import frame_record
+from fringedic.frames.records import StepKey, frame_record
 from fringedic.patterns.pattern import PHASE_KINDS, PatternKind
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.images import image_array
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.processing import JOINED_STEPS, ProcessingNode, StepId
+from fringedic_ros.serialized import image_view
 from fringedic_ros.stamps import to_nanoseconds
 
 
@@ -53,10 +53,10 @@ class FrameSteps:
 
     def abandon(self, experiment: str, step: int) -> str:
         """Drop the frames of a step, and return which are missing; empty when none had arrived."""
-        missing = self._collector.abandon(experiment, step)
+        missing = self._collector.abandon(StepKey(experiment, step, self._node.sensor))
         return str(missing) if missing else ""
 
-    def _take(self, image: Image, exposure: Exposure) -> None:
+    def _take(self, image: bytes, exposure: Exposure) -> None:
         if exposure.kind not in self._kinds:
             self._on_other(exposure)
             return
@@ -64,14 +64,21 @@ class FrameSteps:
             self._node.diagnostics.drop()
             return
         try:
-            stack = self._collector.add(frame_record(exposure), image_array(image))
+            record = frame_record(exposure)
+            if record.sensor != self._node.sensor:
+                raise StepError(
+                    f"frame {record.index} is of the sensor '{record.sensor}', this node is of '{self._node.sensor}': "
+                    "start both in the namespace of their sensor, and with its parameter sensor",
+                    code=ErrorCode.FRAME_MISMATCH,
+                )
+            stack = self._collector.add(record, image_array(image_view(image)))
         except Exception as error:
             self.abandon(exposure.experiment, exposure.step)
             self._node.fail(StepId.of(exposure), error)
             return
         if stack is not None:
             self._on_stack(stack)
-        for experiment, step in self._collector.open_steps[:-JOINED_STEPS]:
-            missing = self._collector.abandon(experiment, step)
+        for key in self._collector.open_steps[:-JOINED_STEPS]:
+            missing = self._collector.abandon(key)
             if missing is not None:
-                self._node.fail(StepId(experiment, step, to_nanoseconds(exposure.header.stamp)), missing)
+                self._node.fail(StepId(key.experiment, key.step, to_nanoseconds(exposure.header.stamp)), missing)

@@ -1,4 +1,4 @@
-"""Start, run and end of every node process."""
+"""Start, run and end of every process of nodes."""
 
 from __future__ import annotations
 
@@ -28,27 +28,33 @@ class _EndRequested(Exception):
     """SIGINT or SIGTERM was received."""
 
 
-def run(make_node: Callable[[], Node]) -> int:
-    """Spin one node until SIGINT or SIGTERM; return the exit code of the process.
+def run(*makers: Callable[[], Node]) -> int:
+    """Spin nodes in one thread until SIGINT or SIGTERM; return the exit code of the process.
 
-    A signal has an effect after the node is complete and the running callback has returned: an exception in between
+    A signal has an effect after the nodes are complete and the running callback has returned: an exception in between
     would leave an incomplete node, whose process may not end. Further signals are ignored, so that a second Ctrl-C does
     not interrupt the closing of a recording.
 
     A node that cannot start (a `FringedicError`) ends with its message and code 1, every other error with its traceback
     and code 1.
+
+    Parameters
+    ----------
+    makers
+        Make the nodes, which are ended in the same order.
     """
     signals = _collect_signals()
-    node: Node | None = None
+    nodes: list[Node] = []
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         choose_participant_number(get_default_context().get_domain_id())
-        node = make_node()
-        announce(node)
-        report_unknown_parameters(node)
         executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        _end_at(signals, node)
+        for make in makers:
+            nodes.append(node := make())
+            announce(node)
+            report_unknown_parameters(node)
+            executor.add_node(node)
+        _end_at(signals, nodes[0])
         executor.spin()
     except _EndRequested:
         pass
@@ -59,7 +65,7 @@ def run(make_node: Callable[[], Node]) -> int:
         traceback.print_exc()
         return 1
     finally:
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

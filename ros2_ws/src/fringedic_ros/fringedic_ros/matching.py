@@ -48,6 +48,16 @@ def discovered_servers(node: Node, service: str) -> frozenset[bytes]:
     return frozenset(bytes(each.endpoint_gid) for each in node.get_publishers_info_by_topic(responses, no_mangle=True))
 
 
+def shares_process(node: Node, topic: str, witness: str) -> bool:
+    """Return whether all publishers of `topic` are in a process that publishes the topic `witness`; see `is_read_by`.
+
+    Nodes of one process pass results to each other without messages.
+    """
+    witnesses = {_participant(each) for each in node.get_publishers_info_by_topic(witness)}
+    publishers = {_participant(each) for each in node.get_publishers_info_by_topic(topic)}
+    return bool(publishers) and publishers <= witnesses
+
+
 def is_read_by(node: Node, topic: str, witness: str) -> bool:
     """Return whether a process that publishes the topic `witness` subscribes to `topic`, as `node` has discovered them.
 

@@ -23,6 +23,7 @@ from fringedic_msgs.msg import Remark as RemarkMessage
 from fringedic_msgs.srv import QueryStep
 from fringedic_ros.arrivals import Arrivals
 from fringedic_ros.diagnostics import NodeDiagnostics
+from fringedic_ros.exchange import Exchange
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.parameters import ModelT, declare
 from fringedic_ros.qos import EVENTS
@@ -169,11 +170,16 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         Declares its parameters.
     rehearse
         Loads the machine code of its kernels, in the background thread, before the first step.
+    exchange
+        Of the nodes in the same process, which pass whole results to each other; None for a node alone in its process.
     """
 
-    def __init__(self, name: str, model: type[ModelT], rehearse: Callable[[], None]) -> None:
+    def __init__(
+        self, name: str, model: type[ModelT], rehearse: Callable[[], None], exchange: Exchange | None = None
+    ) -> None:
         require_kernels(get_logger(name).warning)
         super().__init__(name)
+        self.exchange = exchange
         self.parameters = declare(self, model)
         self.diagnostics = NodeDiagnostics(self)
         self.worker = Worker(self)
@@ -292,7 +298,8 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         self._publish(step, status)
 
     def _publish(self, step: StepId, status: NodeStatus) -> None:
-        status.node, status.experiment, status.step = self.get_name(), step.experiment, step.step
+        status.node, status.sensor = self.get_name(), self.sensor
+        status.experiment, status.step = step.experiment, step.step
         status.header.stamp = to_msg(step.stamp)
         if status.skipped or status.error_code:
             _fill_in(status, Outcome())

@@ -48,5 +48,13 @@ PREVIEWS = QoSProfile(
 )
 """The newest frame or sample for people who watch: a reader that is slow, or ends, has no effect on the publisher."""
 
+SIGNAL_PREVIEWS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""As `PREVIEWS`, for a topic on which many sensors publish."""
+
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
     """Return the message of the record of one frame."""
     message = Exposure(
+        sensor=record.sensor,
         experiment=record.experiment,
         step=record.step,
         index=record.index,

@@ -17,7 +17,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from fringedic.errors import ConfigurationError
+from fringedic.frames.sensor import SENSOR, sensor_name
+from fringedic.wording.arguments import check_value
+
 FRAME_PREFIX = "frame_prefix"
+SENSOR_PARAMETER = "sensor"
 RIG_FRAME = "reference_plane"
 CAMERA_FRAME = "camera_optical_frame"
 PROJECTOR_FRAME = "projector_optical_frame"
@@ -36,10 +41,23 @@ class RigNode(Node):
     ----------
     name
         Node name.
+
+    Attributes
+    ----------
+    sensor
+        Name of the sensor (a camera with its projector) that the node belongs to.
+
+    Raises
+    ------
+    ConfigurationError
+        The parameter ``sensor`` is no name of a sensor.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
+        what = "Name of the sensor, a camera with its projector; in a rig file: sensor."
+        named = self.declare_parameter(SENSOR_PARAMETER, SENSOR, ParameterDescriptor(description=what, read_only=True))
+        self.sensor: str = check_value(ConfigurationError, f"{name}: sensor", named.value, sensor_name)
         what = "Prefix of all frame ids; empty: none. By default the namespace of the node."
         self.declare_parameter(
             FRAME_PREFIX,

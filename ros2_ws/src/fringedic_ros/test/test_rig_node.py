@@ -10,6 +10,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import String
 
+from fringedic.errors import ConfigurationError
+from fringedic.frames.sensor import SENSOR
 from fringedic_ros.parameters import report_unknown_parameters
 from fringedic_ros.qos import IMAGES
 from fringedic_ros.rig_node import FIXED_QOS, RIG_FRAME, RigNode, frame_id
@@ -38,6 +40,15 @@ def _ended() -> Iterator[None]:
 )
 def test_frames_have_the_prefix(rules: tuple[str, ...], expected: str) -> None:
     assert frame_id(started(*rules), RIG_FRAME) == expected
+
+
+def test_a_node_has_the_name_of_its_sensor_and_refuses_one_that_is_no_name() -> None:
+    assert started("-p", "sensor:=left").sensor == "left"
+    rclpy.try_shutdown()
+    assert started().sensor == SENSOR
+    rclpy.try_shutdown()
+    with pytest.raises(ConfigurationError, match=r"^viewer: sensor is '../left': it has to be a name of letters"):
+        started("-p", "sensor:=../left")
 
 
 def test_an_override_concerns_its_topic_alone() -> None:

@@ -34,8 +34,9 @@ from fringedic_ros.images import image_message
 from fringedic_ros.matching import discovered_servers
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.qos import DIAGNOSTICS, IMAGES
+from fringedic_ros.serialized import image_view
 from fringedic_ros.spinning import Spinning
-from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.waiting import Condition, LongRequest, Patience, RepeatedRequest, call, sleep, until, wait_for
 from fringedic_ros.work import Worker
 
@@ -376,9 +377,7 @@ def test_worker_keeps_order_and_survives_errors(spinning: Spinning) -> None:
 def test_pairs_by_equal_stamps_and_counts_the_rest(spinning: Spinning) -> None:
     node, camera = spinning.add(Node("reader")), Node("camera")
     pairs: list[tuple[int, int]] = []
-    joined = ImageExposurePairs(
-        node, lambda image, exposure: pairs.append((to_nanoseconds(image.header.stamp), exposure.index))
-    )
+    joined = ImageExposurePairs(node, lambda image, exposure: pairs.append((image_view(image).stamp, exposure.index)))
     images = camera.create_publisher(Image, "camera/image_raw", IMAGES)
     exposures = camera.create_publisher(Exposure, "camera/exposure", IMAGES)
 

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from fringedic.errors import ClockJumpError, MachineError
 from fringedic.frames.clocks import DeviceClock
+from fringedic.settings.load_frame import LoadFrameNodeSettings
 from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
@@ -25,7 +26,6 @@ from fringedic_ros.work import Worker
 from load_frame_node.crosshead import Crosshead
 from load_frame_node.machines import Sample
 from load_frame_node.move_server import MoveServer
-from load_frame_node.parameters import LoadFrameParameters
 from load_frame_node.sampler import Sampler
 
 JOINT = "crosshead"
@@ -34,11 +34,11 @@ _PUBLISHED_S = 3.0  # longest wait for the last samples to be published
 _CLOCK_PERIOD_S = 1.0  # between two messages about the clock of the machine
 
 
-class LoadFrameNode(HardwareNode[LoadFrameParameters]):
+class LoadFrameNode(HardwareNode[LoadFrameNodeSettings]):
     """Action `move_crosshead`, service `load_frame/hold`, and the samples of the machine."""
 
     def __init__(self) -> None:
-        super().__init__("load_frame", LoadFrameParameters)
+        super().__init__("load_frame", LoadFrameNodeSettings)
         self._frame = frame_id(self, LOAD_FRAME)
         self._crosshead = Crosshead(self)
         self._sampler: Sampler | None = None
@@ -56,12 +56,12 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
 
     def open(self) -> None:
         """Connect to the machine that the parameters select."""
-        self._crosshead.open(self.parameters.value.open(self))
+        self._crosshead.open(self.parameters.value.device.open(self))
 
     def activate(self) -> None:
         """Start sampling."""
         self._machine_clock, self._device_ns = DeviceClock("testing machine"), 0
-        rate = self.parameters.value.rate_hz
+        rate = self.parameters.value.device.rate_hz
         self._publishing = Worker(self)
         self._sampler = Sampler(self._crosshead, rate, self._take_sample, self._report, self.diagnostics)
 
@@ -70,7 +70,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         if self._sampler is not None:
             self._sampler.stop()
             self._sampler = None
-        if self._crosshead.machine is not None and self.parameters.value.source != "controller":
+        if self._crosshead.machine is not None and self.parameters.value.device.held_at_end:
             try:
                 self._crosshead.hold_at_last(_LAST_HOLD_S)
             except MachineError as error:

@@ -10,11 +10,11 @@ from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, MachineNotReadyError, WaitTimeoutError
+from fringedic.settings.load_frame import LoadFrameNodeSettings
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
 from load_frame_node.crosshead import FAULT, REPEAT_S, Crosshead, reason_not_to_move
 from load_frame_node.machines import LoadMode, Sample
-from load_frame_node.parameters import LoadFrameParameters
 
 Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
@@ -38,7 +38,7 @@ class MoveServer:
         The machine and its samples.
     """
 
-    def __init__(self, node: HardwareNode[LoadFrameParameters], crosshead: Crosshead) -> None:
+    def __init__(self, node: HardwareNode[LoadFrameNodeSettings], crosshead: Crosshead) -> None:
         self._node = node
         self._crosshead = crosshead
         self._goal: ServerGoalHandle | None = None
@@ -209,7 +209,7 @@ class MoveServer:
         return f"{message}; a hold was requested"
 
     def _has_arrived(self, goal: ServerGoalHandle) -> bool:
-        tolerance_mm = self._node.parameters.value.position_tolerance_mm
+        tolerance_mm = self._node.parameters.value.device.position_tolerance_mm
         return 1e3 * abs(self._crosshead.sample.position - goal.request.position) <= tolerance_mm
 
     def _short_of_target(self, goal: ServerGoalHandle) -> str:

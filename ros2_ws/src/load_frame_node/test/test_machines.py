@@ -117,7 +117,7 @@ def modbus(folder: Path, **changes: Any) -> Iterator[tuple[subprocess.Popen[str]
     path = folder / "machine.yaml"
     with server("modbus_machine.py") as (process, port):
         path.write_text(yaml.safe_dump({**description("modbus", port), **changes}))
-        yield process, port, {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+        yield process, port, {"source": "machine", "file": str(path), "rate_hz": 50.0}
 
 
 def until(connected: DescribedMachine[Any], mode: LoadMode) -> Sample:
@@ -176,7 +176,7 @@ def test_a_status_in_no_list_is_reported_with_the_key_to_extend(
     path = tmp_path / "machine.yaml"
     with server(f"{kind}_machine.py") as (_, port):
         path.write_text(yaml.safe_dump({**description(kind, port), "status": status}))
-        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 20.0}
+        parameters = {"source": "machine", "file": str(path), "rate_hz": 20.0}
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters) as node:
             operator.wait(lambda: re.search(words, operator.until(LoadState.UNKNOWN).reason), "the reason")
             operator.wait(lambda: re.search(words, node.log), "the line in the log")
@@ -776,7 +776,7 @@ def test_nothing_moves_a_machine_with_a_fault_and_nobody_moves_it_after_a_stop(
     path = tmp_path / "machine.yaml"
     with server("scpi_machine.py") as (_, port):
         path.write_text(yaml.safe_dump(description("scpi", port)))
-        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+        parameters = {"source": "machine", "file": str(path), "rate_hz": 50.0}
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters) as node:
             goal = operator.start(0.8 * MM, 0.05 * MM)
             operator.until(LoadState.MOVING)
@@ -849,7 +849,7 @@ def test_node_publishes_the_drift_of_the_clock_of_the_machine(operator: Operator
     clocks = operator.listen(ClockDrift, "load_frame/clock", LATCHED)
     with server("modbus_machine.py") as (_, port):
         path.write_text(yaml.safe_dump({**description("modbus", port), "time": {"register": 6}}))
-        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 100.0}
+        parameters = {"source": "machine", "file": str(path), "rate_hz": 100.0}
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
             operator.wait(
                 lambda: clocks and clocks[-1].samples >= 20 and clocks[-1].drift_sigma < 0.003,

@@ -15,12 +15,13 @@ from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 
 from fringedic.errors import MachineError
+from fringedic.settings.load_frame import ControllerLoadFrame, LoadFrameNodeSettings
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import Peer
 from load_frame_node.crosshead import Crosshead
 from load_frame_node.machines import LoadMode, Machine, Sample, ScpiDescription, SimulatedMachine, open_machine
-from load_frame_node.machines.controller import ControllerMachine, ControllerTopics
+from load_frame_node.machines.controller import ControllerMachine
 from load_frame_node.move_server import MoveServer
 
 MM = 1e-3
@@ -165,8 +166,8 @@ class Controller:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._takers: dict[str, Callable[[Any], None]] = {}
-        topics = ControllerTopics("joint_states", "ram", "wrench", "z", 1, slowest=0.01 * MM, span=0.2)
-        self.machine = ControllerMachine(self, topics)  # type: ignore[arg-type]
+        settings = ControllerLoadFrame(joint_states_topic="joint_states", joint="ram", wrench_topic="wrench")
+        self.machine = ControllerMachine(settings, self)  # type: ignore[arg-type]
 
     def create_subscription(self, _kind: type, topic: str, take: Callable[[Any], None], _qos: Any) -> None:
         self._takers[topic] = take
@@ -229,7 +230,7 @@ class Frame(Peer):
         super().__init__()
         self.active = True
         self.diagnostics = SimpleNamespace(failure=lambda _message: None)
-        self.parameters = SimpleNamespace(value=SimpleNamespace(position_tolerance_mm=0.01))
+        self.parameters = SimpleNamespace(value=LoadFrameNodeSettings())
         self.crosshead, self.machine = Crosshead(self), Scripted(clock)
         self.crosshead.open(self.machine)
         self._server = MoveServer(self, self.crosshead)  # type: ignore[arg-type]

@@ -28,15 +28,27 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from fringedic.datasets.opening import RESULTS
 from fringedic.datasets.quantities import MAPS
 from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
+from fringedic.frames.sensor import file_of
 from fringedic.report.page_server.app import Control, Hold, Measure, Start
 from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described
 from fringedic.report.page_server.server import Address, PageServer
+from fringedic.signals import SignalCollector
 from fringedic_msgs.action import MeasureStep
-from fringedic_msgs.msg import LiveView, LoadState, NodeStatus, ProcedureStatus, RecorderStatus, SetupState, StepStatus
+from fringedic_msgs.msg import (
+    LiveView,
+    LoadState,
+    NodeStatus,
+    ProcedureStatus,
+    RecorderStatus,
+    SetupState,
+    Signal,
+    StepStatus,
+)
 from fringedic_msgs.srv import ControlProcedure, StartProcedure
 from fringedic_ros.goals import result_of
 from fringedic_ros.images import image_array
@@ -44,9 +56,10 @@ from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.polled import PolledTopic
 from fringedic_ros.processing import StampJoin
-from fringedic_ros.qos import DERIVED, DIAGNOSTICS, EVENTS, LATCHED, LATEST, PREVIEWS
+from fringedic_ros.qos import DERIVED, DIAGNOSTICS, EVENTS, LATCHED, LATEST, PREVIEWS, SIGNAL_PREVIEWS
 from fringedic_ros.rig_node import RigNode
 from fringedic_ros.serialized import image_view
+from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 from operator_node.rig_file import ShownRigFile, programme_rows
@@ -91,6 +104,7 @@ class OperatorNode(RigNode):
         self._folders: dict[str, Path] = {}
         self._programme: list[dict[str, Any]] = []  # the one that was started instead of the rig file's
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
+        self._signals = SignalCollector(longest=1)
         self._worker = Worker(self)
         self._subscribe()
         self._starts = self.create_client(StartProcedure, "procedures/start")
@@ -121,7 +135,8 @@ class OperatorNode(RigNode):
             (ProcedureStatus, "procedures/live", partial(state.take_procedure, topic="live"), LATCHED),
             (SetupState, "procedures/setup", self._take_setup, LATCHED),
             (LiveView, "live_view/figures", state.take_figures, DERIVED),
-            (LoadState, "load_frame/state", state.take_load, PREVIEWS),
+            (LoadState, "load_frame/state", self._take_load, PREVIEWS),
+            (Signal, "signals", partial(self._take_signal, "signals"), SIGNAL_PREVIEWS),
             *((Image, topic, partial(self._join, topic), DERIVED) for topic in IN_PLANE),
             (CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED),
             (PointCloud2, "coupling/displacement", partial(self._join, "coupling/displacement"), DERIVED),
@@ -242,11 +257,19 @@ class OperatorNode(RigNode):
         self._folders["run"] = Path(message.folder)
         self._state.take_procedure(message, "procedure")
         if message.state == ProcedureStatus.DONE and message.procedure in MEASURING:
-            self._worker.submit(self._complete, Path(message.folder) / "results.nc")
+            self._worker.submit(self._complete, file_of(Path(message.folder) / f"{RESULTS}.nc", self.sensor))
 
     def _take_setup(self, message: SetupState) -> None:
         self._folders |= {item.item: Path(item.folder) for item in message.items if item.folder}
         self._state.take_setup(message)
+
+    def _take_load(self, message: LoadState) -> None:
+        self._state.take_load(message)
+        self._take_signal("load_frame/state", message)
+
+    def _take_signal(self, topic: str, message: Any) -> None:
+        add_signals(self, self._signals, topic, message)
+        self._state.take_signals(self._signals.latest)
 
     def _poll(self) -> None:
         """Take the messages that have arrived and, while a browser is connected, the newest frame."""

@@ -48,7 +48,7 @@ class ShownRigFile:
             shown |= {"load_frame": rig.load_frame is not None, "stage": rig.virtual_rig is not None}
             shown |= {"programme": _rows(rig.programme), "calibration": self._calibration(rig)}
             if rig.region_file is not None:
-                region = Region.load(self._path.parent / rig.region_file)
+                region = Region.load(rig.region_file)
                 shown["region"] = [{"points": each.points, "hole": each.hole} for each in region.polygons]
         except FringedicError as error:
             shown["file_error"] = str(error)
@@ -57,7 +57,7 @@ class ShownRigFile:
     def _calibration(self, rig: RigFile) -> list[str]:
         if rig.calibration is None:
             return ["none: only the displacement in the image is measured"]
-        if (file := rig.calibration_file(self._path)) is not None:
+        if (file := rig.calibration_file) is not None:
             return in_force_words(file, datetime.now(UTC))
         return ["the values of the virtual rig" if rig.calibration == VIRTUAL_RIG else "values in the rig file"]
 

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from fringedic.patterns.pattern import PatternKind
+from fringedic.report.page_server.maps import described_signal
 from fringedic.rig_setup.check_list import SetupItem
 from fringedic.rig_setup.live_sentences import TITLES, live_entries
+from fringedic.signals import Sample
 from fringedic_msgs.msg import ProcedureStatus, StepStatus
 
 LOG_LINES = 200
@@ -49,8 +51,15 @@ class RigState:
         self._steps: dict[int, dict[str, Any]] = {}
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._written: deque[tuple[float, int]] = deque()
-        self._parts: dict[str, Any] = {"procedure": None, "live": None, "setup": [], "load": None, "figures": None}
-        self._parts |= {"recorder": None, "step": None, "hand": ""}
+        self._parts: dict[str, Any] = {
+            "procedure": None,
+            "live": None,
+            "setup": [],
+            "load": None,
+            "figures": None,
+            "signals": [],
+        }
+        self._parts |= {"recorder": None, "step": None, "hand": "", "signals": []}
         self._experiment = ""
         self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
         self._remaining = RemainingTime()
@@ -99,8 +108,8 @@ class RigState:
             row["stage"], row["reference"] = STAGES[message.stage], message.reference
             if message.stage == StepStatus.ERROR:
                 row["error"] = f"{message.error_message} (error {message.error_code})"
-            elif message.stage == StepStatus.END and self._parts["load"] is not None:
-                row |= {name: self._parts["load"][name] for name in ("force", "position")}
+            elif message.stage == StepStatus.END:
+                row["signals"] = {each["name"]: each["value"] for each in self._parts["signals"]}
             return another
 
     def take_maps(self, status: Any, *, surface: bool) -> None:
@@ -113,10 +122,17 @@ class RigState:
                 row["rms_displacement"] = status.rms_displacement
 
     def take_load(self, message: Any) -> None:
-        """Take a sample of the load frame, rounded so that noise is no change."""
-        rounded = {name: _rounded(getattr(message, name), 4) for name in ("force", "position")}
+        """Take the mode of the load frame."""
         mode = LOAD_MODES[message.mode] if message.mode < len(LOAD_MODES) else f"mode {message.mode}"
-        self._set("load", {"mode": f"{mode} ({message.reason})" if message.reason else mode, **rounded})
+        self._set("load", {"mode": f"{mode} ({message.reason})" if message.reason else mode})
+
+    def take_signals(self, latest: Mapping[str, Sample]) -> None:
+        """Take the latest sample of each signal, rounded so that noise is no change."""
+        described = [
+            described_signal(name, sample.channel.unit, sample.channel.source) | {"value": _rounded(sample.value, 4)}
+            for name, sample in latest.items()
+        ]
+        self._set("signals", described)
 
     def take_recorder(self, message: Any) -> None:
         """Take the state of the recorder, and estimate how long the disk lasts."""
@@ -160,8 +176,7 @@ class RigState:
         reports = [
             {
                 "step": each.step,
-                "position": each.position,
-                "force": each.force,
+                "signals": {"position": each.position, "force": each.force},
                 "valid_fraction": each.valid_fraction,
                 "rms_displacement": None if math.isnan(each.rms_displacement) else each.rms_displacement,
                 "error": each.error_message,
@@ -194,8 +209,9 @@ class RigState:
         with self._lock:
             self._parts[topic] = data
             for report in reports:
-                if report["step"] in self._steps:
-                    self._steps[report["step"]] |= report
+                row = self._steps.get(report["step"])
+                if row is not None:
+                    row |= report | {"signals": row.get("signals", {}) | report["signals"]}
 
     def _remaining_s(self, message: Any) -> float | None:
         """Return the estimated time until the last step or part is done [s], None when it is not known."""

@@ -6,8 +6,19 @@ import shutil
 from pathlib import Path
 
 import pytest
+from builtin_interfaces.msg import Time
 
-from fringedic_msgs.msg import LoadState, ProcedureStatus, RecorderStatus, SetupItem, SetupState
+from fringedic.signals import SignalCollector
+from fringedic_msgs.msg import (
+    LoadState,
+    ProcedureStatus,
+    RecorderStatus,
+    SetupItem,
+    SetupState,
+    Signal,
+    StepReport,
+    StepStatus,
+)
 from operator_node.rig_state import RigState
 
 
@@ -112,3 +123,25 @@ def test_the_mode_of_the_machine_has_its_reason(sample: LoadState, mode: str, st
     """A mode that the message does not have ended the node."""
     state.take_load(sample)
     assert state.snapshot({})["load"]["mode"] == mode
+
+
+def test_a_step_has_the_values_of_all_signals_at_its_end_and_then_those_of_its_report(state: RigState) -> None:
+    collector = SignalCollector(longest=1)
+    collector.add("load_frame/state", LoadState(force=12.34567, position=1e-3))
+    grip = Signal(name="grip", quantity="temperature", unit="K", source="logger")
+    grip.stamps, grip.values, grip.sigmas = [Time()], [295.0], [0.5]
+    collector.add("signals", grip)
+    state.take_signals(collector.latest)
+    found = state.snapshot({})["signals"]
+    assert [(each["name"], each["unit"], each["source"], each["value"] / each["factor"]) for each in found] == [
+        ("force", "N", "load_frame", 12.35),
+        ("position", "mm", "load_frame", 1.0),
+        ("grip", "K", "logger", 295.0),
+    ]
+    state.take_step(StepStatus(experiment="plate", step=3, stage=StepStatus.END))
+    (step,) = state.snapshot({})["steps"]
+    assert step["signals"] == {"force": 12.35, "position": 1e-3, "grip": 295.0}
+    report = StepReport(step=3, force=12.0, position=2e-3)
+    state.take_procedure(ProcedureStatus(procedure="run", reports=[report]), "procedure")
+    (step,) = state.snapshot({})["steps"]
+    assert step["signals"] == {"force": 12.0, "position": 2e-3, "grip": 295.0}

@@ -15,6 +15,7 @@ from fringedic.steps.phase import phase_step
 from fringedic.steps.rehearsal import rehearse_phase
 from fringedic.steps.remarks import Remark
 from fringedic_msgs.msg import Exposure
+from fringedic_ros.exchange import Exchange
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message
 from fringedic_ros.main import run
@@ -26,8 +27,8 @@ from fringedic_ros.rig_node import CAMERA_FRAME, frame_id
 class PhaseNode(ProcessingNode[PhaseParameters]):
     """Collects the frames of a step and publishes the result of `phase_step`."""
 
-    def __init__(self) -> None:
-        super().__init__("phase", PhaseParameters, rehearse_phase)
+    def __init__(self, exchange: Exchange | None = None) -> None:
+        super().__init__("phase", PhaseParameters, rehearse_phase, exchange)
         self._frame = frame_id(self, CAMERA_FRAME)
         self._map = self._image_publisher("map")
         self._sigma = self._image_publisher("sigma")
@@ -55,6 +56,8 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
 
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)
+        if self.exchange is not None:
+            self.exchange.give("phase", result)
         for publisher, array in (
             (self._texture, result.texture),  # first: the dic node, which takes longest, waits for it
             (self._map, result.phase),

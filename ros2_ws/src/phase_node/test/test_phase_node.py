@@ -195,9 +195,14 @@ def overexposed(frames: Frames) -> Frames:
     return [(record, np.full_like(image, 255)) for record, image in frames]
 
 
+def foreign(frames: Frames) -> Frames:
+    return [(replace(record, sensor="right"), image) for record, image in frames]
+
+
 @pytest.mark.parametrize(
     ("fault", "code", "words"),
     [
+        (foreign, NodeStatus.FRAME_MISMATCH, "frame 0 is of the sensor 'right', this node is of 'sensor': start both"),
         (swapped, NodeStatus.PATTERN_NOT_SEEN, "frames 9 and 10 are interchanged"),
         (alien, NodeStatus.PATTERN_NOT_SEEN, "frame 5 does not show its pattern"),
         (frozen, NodeStatus.PATTERN_NOT_SEEN, "the projector does not change its pattern"),

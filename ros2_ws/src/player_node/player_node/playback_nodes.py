@@ -14,7 +14,7 @@ from rclpy.task import Future
 from fringedic.errors import WaitTimeoutError
 from fringedic.steps.recorded_parameters import present_name
 from fringedic_msgs.msg import NodeParameters, NodeStatus, StepStatus
-from fringedic_ros.matching import Matching
+from fringedic_ros.matching import Matching, shares_process
 from fringedic_ros.qos import EVENTS
 from fringedic_ros.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, READERS
 from fringedic_ros.waiting import Patience
@@ -166,12 +166,17 @@ class PlaybackNodes:
         """Return the nodes without parameter service or without a subscription that they need."""
         missing = []
         for node, names in inputs.items():
-            topics = [name for name in names if node not in self._subscribers(name)]
+            topics = [name for name in names if node not in self._subscribers(name) and not self._passed_on(name, node)]
             if topics:
                 missing.append(f"{node} (to {', '.join(topics)})")
         return missing + [
             f"{node} (no parameter service)" for node, client in self._get.items() if not client.service_is_ready()
         ]
+
+    def _passed_on(self, name: str, node: str) -> bool:
+        """Return whether a processing node receives a result from another node of its process, without the topic."""
+        topics = map(self._node.resolve_topic_name, (name, f"{node}/status"))
+        return node in PUBLISHED and name in DERIVED_TOPICS and shares_process(self._node, *topics)
 
     def _subscribers(self, name: str) -> set[str]:
         topic = self._node.resolve_topic_name(name)

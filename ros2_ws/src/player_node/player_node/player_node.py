@@ -128,7 +128,7 @@ class PlayerNode(RigNode):
         WaitTimeoutError
             A node did not appear, or did not answer a step, in time.
         """
-        bag = BagReader(Path(self.parameters.value.bag_path))
+        bag = BagReader(Path(self.parameters.value.bag_path), sensor=self.sensor)
         bag.find(IMAGE, EXPOSURE, STEP)
         chosen = self._chosen_steps(bag)
         experiment = _only_experiment(bag) if self._reference is not None else ""

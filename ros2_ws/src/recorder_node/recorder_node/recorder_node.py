@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import threading
 import time
@@ -11,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Literal, TypedDict
 
-from pydantic import BaseModel, ConfigDict, Field
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -19,7 +17,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
-from fringedic.recording.writer import BagWriter, Split
+from fringedic.recording.writer import BagWriter
+from fringedic.settings.recorder import RecorderNodeSettings
 from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
@@ -45,28 +44,6 @@ LAST_RECORD_S = 3.0  # longest wait for the end of a step that is cut off
 UNREADABLE_S = 10.0  # shortest time between two reports of messages that cannot be read
 
 
-class RecorderParameters(BaseModel):
-    """Parameters of the recorder."""
-
-    model_config = ConfigDict(frozen=True)
-
-    bag_path: str = Field("", description="Folder of the recording, which must not exist; empty: nothing is recorded.")
-    derived: bool = Field(False, description="Record phase, displacement and clouds as well, not only the raw topics.")
-    compression: Literal["none", "zstd"] = Field("none", description="Compression of the recording.")
-    split_gb: float = Field(
-        0.0, ge=0, le=1e5, description="Size after which the recording continues in its next file [GB]; 0: one file."
-    )
-    split_s: float = Field(
-        0.0, ge=0, le=1e7, description="Duration after which the recording continues in its next file [s]; 0: one file."
-    )
-    flush_interval_s: float = Field(
-        0.5, gt=0, le=60, description="Messages received earlier than this survive a kill of the recorder [s]."
-    )
-    smallest_free_mb: float = Field(
-        100.0, ge=0, le=1e6, description="The recording is closed when less than this is free on the disk [MB]."
-    )
-
-
 class MessageInfo(TypedDict, total=False):
     """Information of the middleware about a message."""
 
@@ -86,7 +63,7 @@ class RecorderNode(RigNode):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        self.parameters = declare(self, RecorderParameters)
+        self.parameters = declare(self, RecorderNodeSettings)
         self.diagnostics = NodeDiagnostics(self)
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._kinds: dict[str, tuple[str, type]] = {}  # relative name and type of each subscribed topic
@@ -131,12 +108,13 @@ class RecorderNode(RigNode):
             self._writing.close()
             self._writing = None
 
-    def _open(self, parameters: RecorderParameters) -> None:
+    def _open(self, parameters: RecorderNodeSettings) -> None:
         path, interval = Path(parameters.bag_path), parameters.flush_interval_s
         self._status.path = str(path.absolute())
         try:
-            split = Split(size=1e9 * (parameters.split_gb or math.inf), duration=parameters.split_s or math.inf)
-            writer = BagWriter(path, compression=parameters.compression, flush_interval_s=interval, split=split)
+            writer = BagWriter(
+                path, compression=parameters.compression, flush_interval_s=interval, split=parameters.split
+            )
         except (FringedicError, OSError) as error:
             self._fail(error)
             return

@@ -84,7 +84,9 @@ def rig() -> Iterator[Rig]:
 
 
 def recorder(folder: Path, **parameters: Any) -> NodeProcess:
-    return NodeProcess("recorder_node.recorder_node", folder, {"bag_path": str(folder / "bag")} | parameters)
+    return NodeProcess(
+        "recorder_node.recorder_node", folder, {"bag_path": str(folder / "bag"), "derived": False} | parameters
+    )
 
 
 def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -> None:

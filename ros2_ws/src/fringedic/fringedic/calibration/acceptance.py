@@ -20,16 +20,16 @@ from scipy.spatial.transform import Rotation
 from fringedic.errors import CalibrationError
 from fringedic.wording.numbers import number_text
 
-REJECTED = 3e-3  # part of the points of each artefact that may be left out
-CAP = math.radians(45.0)  # half angle of the part of a ball around the direction to the camera that is evaluated
+REJECTED = 3e-3  # of the points of each artefact may be left out
+CAP = math.radians(45.0)  # a ball is evaluated up to this angle from the direction to the camera
 BALL_RANGE, LEAST_SPACING, LEAST_PLANE = (0.1, 0.2), 0.3, 0.5  # sizes of the artefacts over the diagonal of the volume
-_FEWEST = 100  # points on an artefact
-_CELL = 0.25  # of the radius: cells in which the normals of a ball vote for its centre
-_MEANS = 5  # passes of the mean around the most voted cell
-_NEAR = 0.1  # of the radius: points this far from a ball's surface belong to it
-_SHOWN = 4000  # residuals that are kept of each place
+_FEWEST = 100  # an artefact needs so many points
+_CELL = 0.25  # normals vote for the centre of a ball in cells of this part of its radius
+_MEANS = 5  # the mean around the most voted cell converges in so many passes
+_NEAR = 0.1  # points nearer to a ball's surface than this part of its radius belong to it
+_SHOWN = 4000  # so many residuals are kept of each place
 _CORNERS = ((-1, 1, -1, 1), (-1, -1, 1, 1))  # signs of x and y
-_STEPS = 20  # of Gauss and Newton; converges in about five
+_STEPS = 20  # the Gauss-Newton method converges in about five
 
 
 class Artefact(StrEnum):
@@ -91,7 +91,24 @@ class Artefacts:
 
     def places(self) -> list[Place]:
         """Return the 23 places: ten of the ball, seven of the bar, six of the plane."""
-        return [*_ball_places(self), *_bar_places(self), *_plane_places(self)]
+        x, y, z = _reach(self, self.diameter)
+        corners = [(i * x, j * y, k * z) for k in (-1, 1) for j in (-1, 1) for i in (-1, 1)]
+        diagonal = math.atan2(self.volume[1], self.volume[0])
+        tilt = math.asin(min(2 * z / self.spacing, math.sin(math.radians(30.0))))
+        turned = [
+            ((0.0, 0.0, z), (0.0, 0.0, 0.0)),
+            ((0.0, 0.0, -z), (0.0, 0.0, 0.0)),
+            ((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
+            ((0.0, 0.0, 0.0), (0.0, 0.0, diagonal)),
+            ((0.0, 0.0, 0.0), (0.0, 0.0, -diagonal)),
+            ((0.0, 0.0, 0.0), (0.0, tilt, 0.0)),
+            ((0.0, 0.0, 0.0), (0.0, -tilt, 0.0)),
+        ]
+        return [
+            *[Place(Artefact.BALL, centre) for centre in ((0.0, 0.0, 0.0), *corners, (0.0, 0.0, z))],
+            *[Place(Artefact.BALL_BAR, centre, rotation) for centre, rotation in turned],
+            *_plane_places(self),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +304,13 @@ def _check_place(place: Place, found: np.ndarray, artefacts: Artefacts) -> None:
     """Refuse an artefact that was not moved: its points (n, 3) [m] are nearer to those of another place."""
 
     def away(other: Place) -> float:
-        nominal = _points_of(other, artefacts)
+        turn = Rotation.from_rotvec(other.rotation)
+        if other.artefact is Artefact.PLANE:
+            nominal = _plane_corners(np.array(other.centre), turn.apply((0.0, 0.0, 1.0)), artefacts)
+        else:
+            half = artefacts.spacing / 2 if other.artefact is Artefact.BALL_BAR else 0.0
+            centres: np.ndarray = other.centre + turn.apply([(-half, 0.0, 0.0), (half, 0.0, 0.0)])
+            nominal = centres if half else centres[:1]
         # nothing distinguishes the two balls of a bar
         return min(float(np.linalg.norm(each - nominal, axis=1).max()) for each in (found, found[::-1]))
 
@@ -298,16 +321,6 @@ def _check_place(place: Place, found: np.ndarray, artefacts: Artefacts) -> None:
             f"the {place.artefact} is {number_text(1e3 * away(place), 3)} mm away from it and nearer to place "
             f"{number}: move it to every place, and repeat the test"
         )
-
-
-def _points_of(place: Place, artefacts: Artefacts) -> np.ndarray:
-    """Return the centres of balls, or the corners of a plane in the volume, at an exact place (n, 3) [m]."""
-    turn = Rotation.from_rotvec(place.rotation)
-    if place.artefact is Artefact.PLANE:
-        return _plane_corners(np.array(place.centre), turn.apply((0.0, 0.0, 1.0)), artefacts)
-    half = artefacts.spacing / 2 if place.artefact is Artefact.BALL_BAR else 0.0
-    centres: np.ndarray = place.centre + turn.apply([(-half, 0.0, 0.0), (half, 0.0, 0.0)])
-    return centres if half else centres[:1]
 
 
 def _plane_corners(middle: np.ndarray, normal: np.ndarray, artefacts: Artefacts) -> np.ndarray:
@@ -389,30 +402,6 @@ def _cap(points: np.ndarray, centre: np.ndarray, radius: float, camera: np.ndarr
     cosine = np.tensordot(towards, away, axes=1) / distance
     inside: np.ndarray = points[:, (np.abs(distance - radius) < _NEAR * radius) & (cosine > math.cos(CAP))]
     return inside
-
-
-def _ball_places(artefacts: Artefacts) -> list[Place]:
-    """Return the middle, the eight corners of the volume, and the middle of its front."""
-    x, y, z = _reach(artefacts, artefacts.diameter)
-    corners = [(i * x, j * y, k * z) for k in (-1, 1) for j in (-1, 1) for i in (-1, 1)]
-    return [Place(Artefact.BALL, centre) for centre in ((0.0, 0.0, 0.0), *corners, (0.0, 0.0, z))]
-
-
-def _bar_places(artefacts: Artefacts) -> list[Place]:
-    """Return bars along x in front and at the back, along y, on both diagonals, and inclined both ways."""
-    z = _reach(artefacts, artefacts.diameter)[2]
-    diagonal = math.atan2(artefacts.volume[1], artefacts.volume[0])
-    tilt = math.asin(min(2 * z / artefacts.spacing, math.sin(math.radians(30.0))))
-    turned = [
-        ((0.0, 0.0, z), (0.0, 0.0, 0.0)),
-        ((0.0, 0.0, -z), (0.0, 0.0, 0.0)),
-        ((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
-        ((0.0, 0.0, 0.0), (0.0, 0.0, diagonal)),
-        ((0.0, 0.0, 0.0), (0.0, 0.0, -diagonal)),
-        ((0.0, 0.0, 0.0), (0.0, tilt, 0.0)),
-        ((0.0, 0.0, 0.0), (0.0, -tilt, 0.0)),
-    ]
-    return [Place(Artefact.BALL_BAR, centre, rotation) for centre, rotation in turned]
 
 
 def _plane_places(artefacts: Artefacts) -> list[Place]:

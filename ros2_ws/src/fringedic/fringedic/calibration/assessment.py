@@ -17,7 +17,6 @@ from fringedic.calibration.fit_results import Candidate, Parameter, PlaneResult
 from fringedic.calibration.geometry import SCALES, Camera, check_size, place_planes, predict, rig_model
 from fringedic.calibration.models import ModelFitter, scatter_of
 from fringedic.calibration.outliers import unusual_ripple
-from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding
@@ -25,11 +24,11 @@ from fringedic.rig.geometry import PARAMETERS, parameter_values
 from fringedic.rig.model import RigModel
 from fringedic.rig.uncertainty import position_errors
 
-_STEP = 1e-5  # of a parameter's scale, for central differences
+_STEP = 1e-5  # central differences use this part of the scale of a parameter
 _RIPPLE = 2e-3 * 2 * math.pi  # [rad] the noise of a usual sequence (q = 8, 1 grey level); averaging does not reduce it
-_OUTLIERS = 1e-3  # share of the pixels; noise alone has none beyond six standard deviations
-_SPREAD = math.radians(8)  # range of angles below which the heights are poorly calibrated
-_ADVISED_PLANES = 5  # from which an outlier can be found
+_OUTLIERS = 1e-3  # noise alone has no pixels beyond six standard deviations
+_SPREAD = math.radians(8)  # a smaller range of angles calibrates the heights poorly
+_ADVISED_PLANES = 5  # with so many planes an outlier can be found
 
 _TITLES: dict[str, tuple[str, str, float]] = {
     "camera_distance": ("camera distance h0", "mm", 1e-3),
@@ -106,6 +105,10 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         *(_plane_result(fitter, selection, model, index) for index in range(len(planes.blocks))), strict=True
     )
     fitted = [results[index] for index in selection.used]
+    blocks = planes.blocks
+    dims = ("plane", "row", "column")
+    sigma = np.sqrt(np.diag(solution.covariance))
+    correlation: np.ndarray = solution.covariance / np.where(sigma > 0, np.outer(sigma, sigma), 1.0)
     calibration = RigCalibration(
         model=model,
         pitch=camera.pitch,
@@ -114,7 +117,7 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         candidates=tuple(_candidates(fitter, selection)),
         planes=results,
         parameters=tuple(_parameter(name, i, solution) for i, name in enumerate(solution.names)),
-        correlation=_correlation(solution.covariance),
+        correlation=correlation,
         chi_square=solution.reduced_chi_square,
         residual=_root_mean([plane.residual for plane in fitted]),
         predicted=_root_mean([plane.predicted for plane in fitted]),
@@ -122,7 +125,26 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         held_out=max((results[index].systematic for index in planes.held_out), default=math.nan),
         height_sigma=_height_sigma(fitter, selection, model),
         principal_effect=fitter.principal_effect(selection.variant, selection.used, solution),
-        residual_map=_residual_map(maps, planes),
+        residual_map=xr.Dataset(
+            {
+                "residual": (
+                    dims,
+                    np.array(maps, np.float32),
+                    {"units": "m", "long_name": "residual of block means as height"},
+                ),
+                "phase": (
+                    dims,
+                    np.array([each.phase for each in blocks]),
+                    {"units": "rad", "long_name": "absolute phase at the centre of blocks"},
+                ),
+                "sigma": (
+                    dims,
+                    np.array([each.sigma for each in blocks], np.float32),
+                    {"units": "rad", "long_name": "standard deviation of the phase of blocks"},
+                ),
+            },
+            coords={"plane": planes.names, "row": blocks[0].row, "column": blocks[0].column},
+        ),
         warnings=(),
         created=origin.created,
     )
@@ -236,28 +258,6 @@ def _height_sigma(fitter: ModelFitter, selection: Selection, model: RigModel) ->
     return largest
 
 
-def _residual_map(maps: Sequence[np.ndarray], planes: CalibrationPlanes) -> xr.Dataset:
-    blocks = planes.blocks
-    dims = ("plane", "row", "column")
-    units = {"units": "m"}
-    return xr.Dataset(
-        {
-            "residual": (dims, np.array(maps, np.float32), units | {"long_name": "residual of block means as height"}),
-            "phase": (
-                dims,
-                np.array([each.phase for each in blocks]),
-                {"units": "rad", "long_name": "absolute phase at the centre of blocks"},
-            ),
-            "sigma": (
-                dims,
-                np.array([each.sigma for each in blocks], np.float32),
-                {"units": "rad", "long_name": "standard deviation of the phase of blocks"},
-            ),
-        },
-        coords={"plane": planes.names, "row": blocks[0].row, "column": blocks[0].column},
-    )
-
-
 def _parameter(name: str, index: int, solution: Solution) -> Parameter:
     if name.startswith("angle_error"):
         title, unit, scale = f"error of the angle of image {name.rsplit('_', 1)[1]}", "degree", math.radians(1)
@@ -269,19 +269,25 @@ def _parameter(name: str, index: int, solution: Solution) -> Parameter:
     return Parameter(name, title, unit, solution.values[name] / scale, sigma / scale)
 
 
-def _correlation(covariance: np.ndarray) -> np.ndarray:
-    sigma = np.sqrt(np.diag(covariance))
-    result: np.ndarray = covariance / np.where(sigma > 0, np.outer(sigma, sigma), 1.0)
-    return result
-
-
 def _root_mean(values: Sequence[float]) -> float:
     return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
 def _warnings(calibration: RigCalibration, fitter: ModelFitter, used: Sequence[int]) -> Iterator[Finding]:
-    yield from _warnings_of_images(calibration, fitter)
-    yield from _common_ripple(fitter, used)
+    for plane in calibration.planes:
+        if plane.problem:
+            yield dataclasses.replace(plane.problem, subject=plane.name)
+    for plane in calibration.planes:
+        if plane.outliers > _OUTLIERS:
+            yield Finding(CalibrationWarning.OUTLIERS, plane.name, {"share": plane.outliers})
+    for index, plane in enumerate(calibration.planes):
+        ripple = unusual_ripple(index, fitter.planes.blocks)
+        if ripple and not plane.problem:
+            yield Finding(CalibrationWarning.RIPPLE, plane.name, {"amplitude": ripple})
+    usual = np.nanmedian(np.array([fitter.planes.blocks[index].ripple for index in used]), axis=0)
+    if np.any(usual > _RIPPLE):
+        values = {"harmonic": int(np.nanargmax(usual)) + 1, "amplitude": float(np.nanmax(usual))}
+        yield Finding(CalibrationWarning.COMMON_RIPPLE, values=values)
     angles, heights = fitter.placement.angles[list(used)], fitter.placement.heights[list(used)]
     if not np.ptp(heights) and np.ptp(angles) < _SPREAD:
         yield Finding(CalibrationWarning.NARROW_ANGLES, values={"span": float(np.ptp(angles))})
@@ -295,23 +301,3 @@ def _warnings(calibration: RigCalibration, fitter: ModelFitter, used: Sequence[i
         yield Finding(CalibrationWarning.NOT_TESTED)
     if calibration.height_sigma > calibration.predicted:
         yield Finding(CalibrationWarning.UNCERTAIN_HEIGHT, values={"sigma": calibration.height_sigma})
-
-
-def _warnings_of_images(calibration: RigCalibration, fitter: ModelFitter) -> Iterator[Finding]:
-    for plane in calibration.planes:
-        if plane.problem:
-            yield dataclasses.replace(plane.problem, subject=plane.name)
-    for plane in calibration.planes:
-        if plane.outliers > _OUTLIERS:
-            yield Finding(CalibrationWarning.OUTLIERS, plane.name, {"share": plane.outliers})
-    for index, plane in enumerate(calibration.planes):
-        ripple = unusual_ripple(index, fitter.planes.blocks)
-        if ripple and not plane.problem:
-            yield Finding(CalibrationWarning.RIPPLE, plane.name, {"amplitude": ripple})
-
-
-def _common_ripple(fitter: ModelFitter, used: Sequence[int]) -> Iterator[Finding]:
-    usual = np.nanmedian(np.array([fitter.planes.blocks[index].ripple for index in used]), axis=0)
-    if np.any(usual > _RIPPLE):
-        values = {"harmonic": int(np.nanargmax(usual)) + 1, "amplitude": float(np.nanmax(usual))}
-        yield Finding(CalibrationWarning.COMMON_RIPPLE, values=values)

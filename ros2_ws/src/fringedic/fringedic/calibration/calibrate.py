@@ -28,8 +28,8 @@ from fringedic.wording.arguments import array, check_arguments, number, one_of, 
 from fringedic.wording.numbers import number_text
 
 UNKNOWN_TILT = math.radians(1.0)  # standard uncertainty of the tilt of a camera that was aligned by eye
-_OUTSIDE = 0.02  # part of the projector's image that phases may reach beyond it
-_MANY = 0.01  # share of the blocks
+_OUTSIDE = 0.02  # phases may reach beyond the projector's image by this part of it
+_MANY = 0.01  # so many of the blocks may lie outside
 _SAME_SCALE = 0.01  # relative difference of two pixel sizes that are meant to be the same
 
 
@@ -198,23 +198,6 @@ def calibrate_rig(  # noqa: PLR0913 - the public function: every keyword is one 
     )
     _check_projector(planes, camera)
     distance = None if camera_distance is None else Prior(camera_distance, sigma_camera_distance)
-    priors = _priors(camera, sigma_pixel_size, distance)
-    fitter = ModelFitter(camera, planes, priors, StageUncertainty(sigma_angle, sigma_height))
-    created = created or datetime.now(UTC)
-    origin = Origin(identifier or f"{created:%Y-%m-%d %H:%M} UTC", source or "calibrate_rig", created)
-    return assess(fitter, _select(fitter, None if model is None else current_model_name(model)), origin)
-
-
-def _select(fitter: ModelFitter, family: str | None) -> Selection:
-    """Reject an outlier among the planes, fit all models to the others, and choose one."""
-    problems = find_problems(fitter, fitter.planes.fitted)
-    used = tuple(index for index in fitter.planes.fitted if index not in problems)
-    fits = fitter.fit_all(used)
-    return Selection(used, problems, fits, choose_model(fits, family))
-
-
-def _priors(camera: Camera, sigma_pixel_size: float, distance: Prior | None) -> dict[str, Prior]:
-    """Return what is known of the camera's parameters before the fit."""
     priors: dict[str, Prior] = {}
     if camera.plane is None:
         priors |= {name: Prior(0.0, UNKNOWN_TILT) for name in ("camera_tilt_x", "camera_tilt_y")}
@@ -222,7 +205,14 @@ def _priors(camera: Camera, sigma_pixel_size: float, distance: Prior | None) -> 
         priors["pixel_size"] = Prior(camera.pixel_size, sigma_pixel_size)
     if distance is not None:
         priors["camera_distance"] = distance
-    return priors
+    fitter = ModelFitter(camera, planes, priors, StageUncertainty(sigma_angle, sigma_height))
+    created = created or datetime.now(UTC)
+    origin = Origin(identifier or f"{created:%Y-%m-%d %H:%M} UTC", source or "calibrate_rig", created)
+    family = None if model is None else current_model_name(model)
+    problems = find_problems(fitter, fitter.planes.fitted)
+    used = tuple(index for index in fitter.planes.fitted if index not in problems)
+    fits = fitter.fit_all(used)
+    return assess(fitter, Selection(used, problems, fits, choose_model(fits, family)), origin)
 
 
 def _known_camera(camera: Camera, principal_point: tuple[float, float] | None) -> Camera:
@@ -238,25 +228,22 @@ def _known_camera(camera: Camera, principal_point: tuple[float, float] | None) -
             f"{size[0]} x {size[1]}"
         )
     if camera.plane is not None:
-        return _camera_of_grid(camera, camera.plane)
+        plane = camera.plane
+        if abs(plane.pixel_size / camera.pixel_size - 1) > _SAME_SCALE:
+            raise CalibrationError(
+                f"pixel_size is {number_text(1e6 * camera.pixel_size)} µm, the grid on the plane gives "
+                f"{number_text(1e6 * plane.pixel_size)} µm: is the grid's pitch right?"
+            )
+        return dataclasses.replace(
+            camera,
+            pixel_size=plane.pixel_size,
+            pixel_aspect=plane.pixel_aspect,
+            principal_column=plane.principal_column,
+            principal_row=plane.principal_row,
+        )
     if principal_point is not None:
         return dataclasses.replace(camera, principal_column=principal_point[0], principal_row=principal_point[1])
     return camera
-
-
-def _camera_of_grid(camera: Camera, plane: PlaneHomography) -> Camera:
-    if abs(plane.pixel_size / camera.pixel_size - 1) > _SAME_SCALE:
-        raise CalibrationError(
-            f"pixel_size is {number_text(1e6 * camera.pixel_size)} µm, the grid on the plane gives "
-            f"{number_text(1e6 * plane.pixel_size)} µm: is the grid's pitch right?"
-        )
-    return dataclasses.replace(
-        camera,
-        pixel_size=plane.pixel_size,
-        pixel_aspect=plane.pixel_aspect,
-        principal_column=plane.principal_column,
-        principal_row=plane.principal_row,
-    )
 
 
 def _check_projector(planes: CalibrationPlanes, camera: Camera) -> None:

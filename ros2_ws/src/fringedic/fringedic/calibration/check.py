@@ -8,7 +8,6 @@ plate, or the plate lifted by a known height.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -27,7 +26,7 @@ from fringedic.wording.arguments import array, check_arguments, dataset, number,
 
 SCALE_TOLERANCE = 2e-3  # relative error of a known distance up to which the scale holds; a gauge block is far better
 _OLD = 30 * 86400.0  # [s]
-_SIGMAS = 3.0  # of the distance's noise
+_SIGMAS = 3.0  # a distance may deviate by so many standard deviations of its noise
 _SEEN = 2.0  # times the noise of block means: a significant change, whether it matters or not
 
 
@@ -82,12 +81,25 @@ class RigCheck:
     @property
     def problems(self) -> tuple[Finding, ...]:
         """Why the rig does not hold its calibration; empty when it does."""
-        return tuple(self._find_problems())
+        found = []
+        if self.flatness > GOOD * self.noise:
+            found.append(Finding(CheckProblem.BENT))
+        noise = self.flatness_noise / math.sqrt(self.residual_map["residual"].count())
+        if abs(self.scale_error) > SCALE_TOLERANCE * abs(self.expected) + _SIGMAS * noise:
+            found.append(Finding(CheckProblem.SCALE))
+        return tuple(found)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
         """What should be better, as codes; `fringedic.calibration.sentences` makes sentences of them."""
-        return tuple(self._find_warnings())
+        found = []
+        if self.age > _OLD:
+            found.append(Finding(CheckWarning.OLD))
+        if self.drift > self.noise:
+            found.append(Finding(CheckWarning.DRIFT))
+        if math.isnan(self.expected):
+            found.append(Finding(CheckWarning.SCALE_NOT_CHECKED))
+        return tuple(found)
 
     @property
     def verdict(self) -> CheckVerdict:
@@ -112,21 +124,6 @@ class RigCheck:
         """Standard deviation of the known distance [m], from the scatter of the blocks of both planes about a plane."""
         blocks = int(self.residual_map["residual"].count())
         return math.sqrt(2 / blocks) * max(self.flatness, self.flatness_noise)
-
-    def _find_problems(self) -> Iterator[Finding]:
-        if self.flatness > GOOD * self.noise:
-            yield Finding(CheckProblem.BENT)
-        noise = self.flatness_noise / math.sqrt(self.residual_map["residual"].count())
-        if abs(self.scale_error) > SCALE_TOLERANCE * abs(self.expected) + _SIGMAS * noise:
-            yield Finding(CheckProblem.SCALE)
-
-    def _find_warnings(self) -> Iterator[Finding]:
-        if self.age > _OLD:
-            yield Finding(CheckWarning.OLD)
-        if self.drift > self.noise:
-            yield Finding(CheckWarning.DRIFT)
-        if math.isnan(self.expected):
-            yield Finding(CheckWarning.SCALE_NOT_CHECKED)
 
 
 def _phase_map(value: Any) -> Any:
@@ -272,7 +269,8 @@ class _Plate:
     @property
     def residual(self) -> np.ndarray:
         """Distance of the blocks from the plane along its normal [m], (n, m)."""
-        residual: np.ndarray = (self.points[2] - _height(self.plane, self.points)) / self.upright
+        height = self.plane[0] + self.plane[1] * self.points[0] + self.plane[2] * self.points[1]
+        residual: np.ndarray = (self.points[2] - height) / self.upright
         return residual
 
     def distance_to(self, other: _Plate) -> float:
@@ -299,22 +297,12 @@ class _Fringes:
         """Reconstruct the blocks of a plate and fit its plane."""
         shape = self.rig.reconstruct(blocks.as_phase_map(), self.pitch, blocks.sigma, self.orientation)
         points, noise = np.stack([shape[name].to_numpy() for name in "xyz"]), shape["noise_z"].to_numpy()
-        return _Plate(blocks, points, noise, _best_plane(points, noise))
-
-
-def _best_plane(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return (a, b, c) of z = a + b x + c y."""
-    known = np.isfinite(points[2])
-    x, y, z = points[:, known]
-    weight = 1 / noise[known]
-    matrix = np.stack([np.ones_like(x), x, y], axis=1)
-    result: np.ndarray = np.linalg.lstsq(matrix * weight[:, None], z * weight, rcond=None)[0]
-    return result
-
-
-def _height(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
-    result: np.ndarray = plane[0] + plane[1] * points[0] + plane[2] * points[1]
-    return result
+        known = np.isfinite(points[2])
+        x, y, z = points[:, known]
+        weight = 1 / noise[known]
+        matrix = np.stack([np.ones_like(x), x, y], axis=1)
+        plane: np.ndarray = np.linalg.lstsq(matrix * weight[:, None], z * weight, rcond=None)[0]
+        return _Plate(blocks, points, noise, plane)
 
 
 def _on_plane(rig: RigModel, plane: np.ndarray, pixel: tuple[float, float]) -> np.ndarray:

@@ -79,7 +79,16 @@ def closed_form(
                 f"give at least {FEWEST_PLANES} angles at the same height, or {FEWEST_PLANES} heights at the same angle"
             )
         found = _from_heights([_rational(planes[i], across, along) for i in lifted], heights[lifted])
-    _check_signs(found)
+    values = (found.camera_distance, found.projector_distance, found.base, found.sensitivity)
+    words = (
+        f"h0 = {1e3 * found.camera_distance:.4g} mm, hp = {1e3 * found.projector_distance:.4g} mm, "
+        f"d = {1e3 * found.base:.4g} mm, K = {found.sensitivity:.4g}"
+    )
+    if not np.all(np.isfinite(values)):
+        raise CalibrationError(f"the phase maps are not those of a plane that turns: {words}")
+    signs = found.camera_distance > 0, found.projector_distance > 0, found.sensitivity > 0
+    if not all(signs):
+        raise CalibrationError(_SIGN_ERRORS.get(signs, _OTHER_SIGNS).format(words))
     return found
 
 
@@ -154,19 +163,6 @@ def _from_heights(rational: Sequence[tuple[float, float, float]], height: np.nda
         phase_offset=float(offset),
         axis_position=0.0,
     )
-
-
-def _check_signs(found: SixParameters) -> None:
-    values = (found.camera_distance, found.projector_distance, found.base, found.sensitivity)
-    words = (
-        f"h0 = {1e3 * found.camera_distance:.4g} mm, hp = {1e3 * found.projector_distance:.4g} mm, "
-        f"d = {1e3 * found.base:.4g} mm, K = {found.sensitivity:.4g}"
-    )
-    if not np.all(np.isfinite(values)):
-        raise CalibrationError(f"the phase maps are not those of a plane that turns: {words}")
-    signs = found.camera_distance > 0, found.projector_distance > 0, found.sensitivity > 0
-    if not all(signs):
-        raise CalibrationError(_SIGN_ERRORS.get(signs, _OTHER_SIGNS).format(words))
 
 
 # By the signs of h0, hp and K.

@@ -62,7 +62,7 @@ def write_fit(fit: FitResult, path: Path) -> None:
         "chi_square": fit.chi_square,
         "warnings": [_finding_to_people(each) for each in fit.warnings],
         "orientation": fit.orientation.name.lower(),
-        **{people: _rounded(getattr(fit, name) / unit) for name, (people, unit) in _FIT_UNITS.items()},
+        **{people: _round(getattr(fit, name) / unit) for name, (people, unit) in _FIT_UNITS.items()},
         "planes": [_to_people(plane, _PLANE_UNITS) for plane in fit.planes],
         "candidates": [_to_people(each, _CANDIDATE_UNITS) for each in fit.candidates],
         "parameters": [_to_people(each, {}) for each in fit.parameters],
@@ -85,7 +85,22 @@ def read_fit(path: Path) -> dict[str, Any]:
     if content["version"] > _VERSION:
         raise ValueError(f"version {content['version']} is newer than this program")
     if content["version"] == 1:
-        content = _from_sentences(content)
+        # A file of version 1 contains sentences, which are kept as text.
+        candidates = [{**each, "name": current_model_name(each["name"])} for each in content["candidates"]]
+        content = {
+            **content,
+            "summary": content["verdict"],
+            "variant": min(candidates, key=lambda each: abs(each["criterion"]))["name"],
+            "warnings": [{"code": CalibrationWarning.TEXT, "subject": each} for each in content["warnings"]],
+            "candidates": candidates,
+            "planes": [
+                {
+                    **each,
+                    "problem": {"code": ImageProblem.TEXT, "subject": each["problem"]} if each["problem"] else None,
+                }
+                for each in content["planes"]
+            ],
+        }
     return {
         **{name: content[people] * unit for name, (people, unit) in _FIT_UNITS.items()},
         "summary": content["summary"],
@@ -94,36 +109,19 @@ def read_fit(path: Path) -> dict[str, Any]:
         "orientation": Orientation[content["orientation"].upper()],
         "warnings": tuple(_finding_from_people(each) for each in content["warnings"]),
         "planes": tuple(PlaneResult(**_plane_values(each)) for each in content["planes"]),
-        "candidates": tuple(Candidate(**_candidate_values(each)) for each in content["candidates"]),
+        "candidates": tuple(
+            Candidate(**{**_from_people(each, Candidate, _CANDIDATE_UNITS), "name": ModelVariant(each["name"])})
+            for each in content["candidates"]
+        ),
         "parameters": tuple(Parameter(**each) for each in content["parameters"]),
         "correlation": np.array(content["correlation"], float),
         "created": datetime.fromisoformat(content["created"]),
     }
 
 
-def _from_sentences(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of version 1 as that of version 2; its sentences are kept as text."""
-    candidates = [{**each, "name": current_model_name(each["name"])} for each in content["candidates"]]
-    return {
-        **content,
-        "summary": content["verdict"],
-        "variant": min(candidates, key=lambda each: abs(each["criterion"]))["name"],
-        "warnings": [{"code": CalibrationWarning.TEXT, "subject": each} for each in content["warnings"]],
-        "candidates": candidates,
-        "planes": [
-            {**each, "problem": {"code": ImageProblem.TEXT, "subject": each["problem"]} if each["problem"] else None}
-            for each in content["planes"]
-        ],
-    }
-
-
 def _plane_values(content: Mapping[str, Any]) -> dict[str, Any]:
     values = _from_people(content, PlaneResult, _PLANE_UNITS)
     return {**values, "problem": None if content["problem"] is None else _finding_from_people(content["problem"])}
-
-
-def _candidate_values(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {**_from_people(content, Candidate, _CANDIDATE_UNITS), "name": ModelVariant(content["name"])}
 
 
 def _finding_to_people(finding: Finding) -> dict[str, Any]:
@@ -142,7 +140,7 @@ def _to_people(value: Any, units: Mapping[str, tuple[str, float]]) -> dict[str, 
         content = getattr(value, field.name)
         if unit is not None:
             content = (
-                [_rounded(each / unit) for each in content] if isinstance(content, tuple) else _rounded(content / unit)
+                [_round(each / unit) for each in content] if isinstance(content, tuple) else _round(content / unit)
             )
         elif isinstance(content, ModelVariant):
             content = str(content)
@@ -163,6 +161,6 @@ def _from_people(content: Mapping[str, Any], kind: type, units: Mapping[str, tup
     return values
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     """Return the number that people expect: 15 degree, not 15.000000000000002."""
     return float(f"{value:.13g}")

@@ -166,7 +166,12 @@ def fit(
     """
     names = tuple(free)
     fixed = dict(start)
-    scales = np.array([_scale(name) for name in names])
+    scales = np.array(
+        [
+            (1e-3 if name.startswith("angle_error") else 1e-4 if name.startswith("height_error") else SCALES[name])
+            for name in names
+        ]
+    )
     phases, sigmas = np.concatenate(observations.phases), np.concatenate(observations.sigmas)
     held = [(i, priors[name]) for i, name in enumerate(names) if name in priors]
     pin_hole = camera.plane.pin_hole if camera.plane is not None and "camera_tilt_x" in names else None
@@ -248,9 +253,3 @@ def parameters_of(
     names += ("projector_along",) if variant.has_centre else ()
     names += ("projector_k2", "projector_p1", "projector_p2", "projector_k3") if variant.has_five else ()
     return (*names, *stage_errors)
-
-
-def _scale(name: str) -> float:
-    if name.startswith("angle_error"):
-        return 1e-3
-    return 1e-4 if name.startswith("height_error") else SCALES[name]

@@ -6,14 +6,17 @@ import math
 import os
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
 from pydantic import ValidationError
 
-from fringedic.calibration.check import RigCheck
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CheckMetadata
 from fringedic.wording.yaml_text import load_yaml
+
+if TYPE_CHECKING:
+    from fringedic.calibration.check import RigCheck
 
 CHECKS_FILE = "calibration_checks.yaml"
 _UM, _MM, _FRINGE = 1e6, 1e3, 2 * math.pi

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fringedic.calibration.closed_form import SixParameters, closed_form
+from fringedic.calibration.closed_form import closed_form
 from fringedic.calibration.fit import (
     Observations,
     Prior,
@@ -123,17 +123,14 @@ class ModelFitter:
         return math.sqrt(sum(squares) / len(squares))
 
     def _fit_six(self, planes: Sequence[int], skip: int = 1) -> Solution:
-        start = six_parameter_start(self._closed_form(planes), self.camera)
-        return self._fit(ModelVariant.SIX_PARAMETER, planes, start, skip)
-
-    def _closed_form(self, planes: Sequence[int]) -> SixParameters:
         column, row = np.meshgrid(self.planes.blocks[0].column, self.planes.blocks[0].row)
         across, along = self.camera.on_reference(*self.camera.ideal(column, row))
         some = list(planes)
         placement = Placement(self.placement.angles[some], self.placement.heights[some])
         found = closed_form([self.planes.blocks[i] for i in some], across, along, placement)
         check_size(self.camera, found.camera_distance)  # a wrong unit: no fit would converge
-        return found
+        start = six_parameter_start(found, self.camera)
+        return self._fit(ModelVariant.SIX_PARAMETER, planes, start, skip)
 
     def _general_start(self, six: Solution, planes: Sequence[int]) -> dict[str, float]:
         start = general_start(six.values, self.camera, self.placement.turned(planes))

@@ -19,13 +19,13 @@ from fringedic.calibration.placement import Placement
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.rig.reconstruction import pixel_positions
 
-BLOCKS = 1200  # approximate number for each plane
-LEAST_VALID = 0.1  # of the pixels of a block, and of the blocks of a map
-HARMONICS = (1, 2, 3, 4, 5, 6)  # of the fringes, fitted to the residual
-_ORDER = 6  # of the polynomial that models the curvature of the phase
+BLOCKS = 1200  # a plane has about so many
+LEAST_VALID = 0.1  # a block needs this part of its pixels, and a map this part of its blocks
+HARMONICS = (1, 2, 3, 4, 5, 6)  # of the fringes are fitted to the residual
+_ORDER = 6  # a polynomial of this order models the curvature of the phase
 _OUTLIER = 6.0  # standard deviations
 _SAME = 3.0  # standard deviations (RMS) below which two maps show the same plane; noise alone gives 1
-_SAMPLES = 15_000  # pixels for the polynomial
+_SAMPLES = 15_000  # the polynomial is fitted to so many pixels
 _RIPPLE_SAMPLES = 40_000
 _TO_SIGMA = 1.4826  # from the median absolute deviation to the standard deviation of a normal distribution
 
@@ -107,7 +107,18 @@ class CalibrationPlanes:
         ImageError
             Maps of different sizes, or another number of sigma maps.
         """
-        _check_maps(phases, sigma, placement)
+        if sigma is not None and len(sigma) != len(phases):
+            raise ImageError(f"{len(sigma)} maps of sigma for {len(phases)} phase maps: give one for each")
+        shapes = [np.shape(phase) for phase in phases]
+        for index, shape in enumerate(shapes):
+            if len(shape) != 2:
+                raise ImageError(f"{placement.name(index)}: shape {shape} is no image (row, column)")
+            if shape != shapes[0]:
+                raise ImageError(f"{placement.name(index)}: {shape} rows and columns, image 1: {shapes[0]}")
+            if sigma is not None and np.shape(sigma[index]) != shape:
+                raise ImageError(
+                    f"{placement.name(index)}: sigma of shape {np.shape(sigma[index])} for a phase of {shape}"
+                )
         for index in held_out:
             if not 0 <= index < len(phases):
                 raise CalibrationError(f"held_out names plane {index}, there are planes 0 to {len(phases) - 1}")
@@ -119,23 +130,6 @@ class CalibrationPlanes:
         )
         check_different(blocks, placement)
         return cls(placement, blocks, fitted, tuple(sorted(set(held_out))))
-
-
-def _check_maps(
-    phases: Sequence[np.ndarray | xr.DataArray],
-    sigma: Sequence[np.ndarray | xr.DataArray] | None,
-    placement: Placement,
-) -> None:
-    if sigma is not None and len(sigma) != len(phases):
-        raise ImageError(f"{len(sigma)} maps of sigma for {len(phases)} phase maps: give one for each")
-    shapes = [np.shape(phase) for phase in phases]
-    for index, shape in enumerate(shapes):
-        if len(shape) != 2:
-            raise ImageError(f"{placement.name(index)}: shape {shape} is no image (row, column)")
-        if shape != shapes[0]:
-            raise ImageError(f"{placement.name(index)}: {shape} rows and columns, image 1: {shapes[0]}")
-        if sigma is not None and np.shape(sigma[index]) != shape:
-            raise ImageError(f"{placement.name(index)}: sigma of shape {np.shape(sigma[index])} for a phase of {shape}")
 
 
 def response_ripple(ripple: Sequence[float]) -> float:
@@ -171,7 +165,23 @@ def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataAr
         raise CalibrationError(
             f"{name}: only {100 * valid:.0f} % of the image is measured; is the plane lit, in view and not saturated?"
         )
-    coefficients = _curvature(image, measured)
+    skip = max(1, math.isqrt(image.size // _SAMPLES))
+    row, column = np.nonzero(measured[::skip, ::skip])
+    values = image[::skip, ::skip][row, column]
+    a, b = (2 * skip * each / (n - 1) - 1 for each, n in zip((row, column), image.shape, strict=True))
+    order = _ORDER if len(values) > 4 * (_ORDER + 1) ** 2 else 2
+    terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    vander = (
+        chebyshev.chebvander(a, order)[:, [i for i, _ in terms]]
+        * chebyshev.chebvander(b, order)[:, [j for _, j in terms]]
+    )
+    kept = np.ones(len(values), bool)
+    for _ in range(4):  # wrong fringe orders bias the first fits
+        solution = _least_squares(vander[kept], values[kept])
+        residual = np.abs(values - vander @ solution)
+        kept = residual <= max(_OUTLIER * _TO_SIGMA * float(np.median(residual)), 1e-9)
+    coefficients = np.zeros((_ORDER + 1, _ORDER + 1))
+    coefficients[tuple(np.transpose(terms))] = solution
     residual = image - _evaluate(coefficients, *(np.linspace(-1, 1, n) for n in image.shape))
     spread = _TO_SIGMA * float(np.nanmedian(np.abs(residual)))
     noise = np.full(image.shape, spread) if sigma is None else np.asarray(sigma, float)
@@ -179,7 +189,15 @@ def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataAr
         raise CalibrationError(f"{name}: sigma is nowhere above 0; leave it out when the noise is not known")
     kept = measured & (np.abs(residual) < _OUTLIER * np.maximum(noise, spread)) & (noise > 0)
     size = max(1, round(math.sqrt(image.size / BLOCKS)))
-    mean, total, scatter = _block_means(residual, noise, kept, size)
+    weight = _blocks(np.where(kept, 1 / np.where(kept, noise, 1.0) ** 2, 0.0), size)
+    values = _blocks(np.where(kept, residual, 0.0), size)
+    count = (weight > 0).sum(axis=-1)
+    full = count >= max(1, LEAST_VALID * size**2)
+    total = np.where(full, weight.sum(axis=-1), np.nan)
+    mean = (weight * values).sum(axis=-1) / total
+    squares = np.where(full, (weight * (values - mean[..., None]) ** 2).sum(axis=-1), 0.0)
+    freedom = float(np.where(full, count - 1, 0).sum())
+    scatter = float(squares.sum()) / freedom if freedom else math.nan
     if sigma is None and not math.isnan(scatter):
         # the noise is the scatter inside the blocks, which is free of what the polynomial leaves
         noise, total, scatter = noise * math.sqrt(scatter), total / scatter, 1.0
@@ -198,21 +216,6 @@ def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataAr
         outliers=1 - float(kept.sum()) / float(measured.sum()),
         ripple=_ripple(image, residual, kept),
     )
-
-
-def _block_means(
-    residual: np.ndarray, noise: np.ndarray, kept: np.ndarray, size: int
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return mean and total weight of every block, NaN without data, and the scatter inside the blocks."""
-    weight = _blocks(np.where(kept, 1 / np.where(kept, noise, 1.0) ** 2, 0.0), size)
-    values = _blocks(np.where(kept, residual, 0.0), size)
-    count = (weight > 0).sum(axis=-1)
-    full = count >= max(1, LEAST_VALID * size**2)
-    total = np.where(full, weight.sum(axis=-1), np.nan)
-    mean = (weight * values).sum(axis=-1) / total
-    squares = np.where(full, (weight * (values - mean[..., None]) ** 2).sum(axis=-1), 0.0)
-    freedom = float(np.where(full, count - 1, 0).sum())
-    return mean, total, float(squares.sum()) / freedom if freedom else math.nan
 
 
 def check_different(blocks: Sequence[PlaneBlocks], placement: Placement) -> None:
@@ -237,28 +240,6 @@ def _show_the_same(first: PlaneBlocks, second: PlaneBlocks) -> bool:
     noise = np.hypot(first.sigma, second.sigma)
     both = np.isfinite(difference)
     return bool(both.any() and np.sqrt(np.mean((difference[both] / noise[both]) ** 2)) < _SAME)
-
-
-def _curvature(image: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the coefficients (7, 7) of a robust polynomial over the image, positions normalised to -1 .. 1."""
-    skip = max(1, math.isqrt(image.size // _SAMPLES))
-    row, column = np.nonzero(measured[::skip, ::skip])
-    values = image[::skip, ::skip][row, column]
-    a, b = (2 * skip * each / (n - 1) - 1 for each, n in zip((row, column), image.shape, strict=True))
-    order = _ORDER if len(values) > 4 * (_ORDER + 1) ** 2 else 2
-    terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
-    vander = (
-        chebyshev.chebvander(a, order)[:, [i for i, _ in terms]]
-        * chebyshev.chebvander(b, order)[:, [j for _, j in terms]]
-    )
-    kept = np.ones(len(values), bool)
-    for _ in range(4):  # wrong fringe orders bias the first fits
-        solution = _least_squares(vander[kept], values[kept])
-        residual = np.abs(values - vander @ solution)
-        kept = residual <= max(_OUTLIER * _TO_SIGMA * float(np.median(residual)), 1e-9)
-    coefficients = np.zeros((_ORDER + 1, _ORDER + 1))
-    coefficients[tuple(np.transpose(terms))] = solution
-    return coefficients
 
 
 def _least_squares(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:

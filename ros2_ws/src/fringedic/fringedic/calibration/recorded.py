@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -45,7 +45,10 @@ class RecordedPlane:
 
 
 def calibrate_recording(
-    path: str | os.PathLike[str], *, progress: Callable[[RecordedPlane], None] = lambda _: None
+    path: str | os.PathLike[str],
+    *,
+    sensor: str | None = None,
+    progress: Callable[[RecordedPlane], None] = lambda _: None,
 ) -> CalibrationSession:
     """Calibrate the rig once more from a recording: the latest planes in it, and the grids before them.
 
@@ -55,6 +58,8 @@ def calibrate_recording(
     ----------
     path
         The recording of a calibration.
+    sensor
+        Name of the sensor, if the recording contains several.
     progress
         Called with every plane that was measured.
 
@@ -73,12 +78,27 @@ def calibrate_recording(
     PatternError
         The coarsest fringes repeat in the camera's view.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=sensor)
     planes = {(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")}
-    wanted, name = _latest(planes)
+    grids: set[tuple[str, int]] = set()
+    steps: dict[str, set[tuple[str, int]]] = {}
+    for key, plane in planes.items():
+        if plane.kind == PlaneKind.GRID:
+            # grids on the tilted plane belong to the same experiment
+            grids = {key, *(grids if plane.angle else ())}
+        elif grids:
+            steps.setdefault(key[0], set(grids)).add(key)
+    name = next(reversed(steps), "")
+    wanted = steps.get(name, set())
     if not wanted:
         raise RecordingError(f"{path} holds no calibration: a grid, and planes after it")
-    if not _repeats_first([plane for key, plane in planes.items() if key in wanted and plane.kind == PlaneKind.PLANE]):
+    # A complete calibration repeats its first plane at the end.
+    measured = [plane for key, plane in planes.items() if key in wanted and plane.kind == PlaneKind.PLANE]
+    if (
+        len(measured) < 2
+        or not measured[-1].held_out
+        or apart(measured[-1].angle - measured[0].angle, measured[-1].height - measured[0].height)
+    ):
         raise RecordingError(
             f"{path}: calibration '{name}' ended before its last plane, which repeats the first one; calibrate again"
         )
@@ -87,8 +107,8 @@ def calibrate_recording(
         wanted.discard((stack.experiment, stack.step))
         progress(replay.measure(planes.pop((stack.experiment, stack.step)), stack, parameters))
     if wanted:
-        steps = ", ".join(f"step {step} of '{experiment}'" for experiment, step in sorted(wanted))
-        raise RecordingError(f"{path}: frames are missing of {steps}")
+        lacking = ", ".join(f"step {step} of '{experiment}'" for experiment, step in sorted(wanted))
+        raise RecordingError(f"{path}: frames are missing of {lacking}")
     calibrated = replay.session.calibrate(datetime.fromtimestamp(1e-9 * stack.stamp, UTC))
     check_calibration(calibrated.model, recorded_setup(reader))
     return replay.session
@@ -106,54 +126,35 @@ class _Replay:
     def measure(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> RecordedPlane:
         """Measure one plane, described by its ``fringedic_msgs/ReferencePlane``."""
         if plane.kind == PlaneKind.GRID:
-            self._measure_grid(plane, stack)
+            if plane.angle:
+                self.session.measure_tilted_grid(stack.frames, plane.angle)
+            else:
+                self.session.measure_grid(stack.frames, plane.grid_pitch)
+            self._sigma_grid = plane.sigma_angle
             return RecordedPlane(stack.step, PlaneKind.GRID, plane.angle)
         measured = phase_step(stack, parameters.phase)
         if not self._begun:
-            self._begin(plane, stack, parameters)
+            sizes = RecordedSizes.of(parameters.settings(None).rig)
+            if sizes.projector_size is None:
+                raise RecordingError("the size of the projector was not recorded; calibrate with the rig itself")
+            finest = stack.patterns[-1]
+            self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
+            self.session.begin(
+                Setting(
+                    self._name,
+                    sizes.projector_size,
+                    finest,
+                    plane.sigma_angle,
+                    plane.sigma_height,
+                    sizes.camera_first,
+                    stack.sensor,
+                )
+            )
+            self._begun = True
         quality = self.session.add_plane(
             Plane(plane.angle, plane.height, plane.held_out, measured.phase, measured.sigma)
         )
         return RecordedPlane(stack.step, PlaneKind.PLANE, plane.angle, quality)
-
-    def _measure_grid(self, plane: Any, stack: Stack) -> None:
-        if plane.angle:
-            self.session.measure_tilted_grid(stack.frames, plane.angle)
-        else:
-            self.session.measure_grid(stack.frames, plane.grid_pitch)
-        self._sigma_grid = plane.sigma_angle
-
-    def _begin(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> None:
-        sizes = RecordedSizes.of(parameters.settings(None).rig)
-        if sizes.projector_size is None:
-            raise RecordingError("the size of the projector was not recorded; calibrate with the rig itself")
-        finest = stack.patterns[-1]
-        self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
-        self.session.begin(
-            Setting(self._name, sizes.projector_size, finest, plane.sigma_angle, plane.sigma_height, sizes.camera_first)
-        )
-        self._begun = True
-
-
-def _latest(planes: Mapping[tuple[str, int], Any]) -> tuple[set[tuple[str, int]], str]:
-    """Return the steps of the latest calibration with those of the grids before it, and its name; empty without one."""
-    grids: set[tuple[str, int]] = set()
-    steps: dict[str, set[tuple[str, int]]] = {}
-    for key, plane in planes.items():
-        if plane.kind == PlaneKind.GRID:
-            # grids on the tilted plane belong to the same experiment
-            grids = {key, *(grids if plane.angle else ())}
-        elif grids:
-            steps.setdefault(key[0], set(grids)).add(key)
-    return (steps[name], name) if (name := next(reversed(steps), "")) else (set(), "")
-
-
-def _repeats_first(planes: Sequence[Any]) -> bool:
-    """Return whether the last plane repeats the first one, as that of a complete calibration."""
-    if len(planes) < 2:
-        return False
-    first, last = planes[0], planes[-1]
-    return last.held_out and not apart(last.angle - first.angle, last.height - first.height)
 
 
 def _messages(reader: BagReader, name: str) -> Iterator[Any]:

@@ -135,14 +135,11 @@ class RigCalibration(FitResult):
             raise
         except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
             raise CalibrationError(f"{path} does not hold a calibration of the rig: {error!r}") from error
-        if not found._belongs_to_model():
+        # Two fits never agree in every digit: equal figures are those of the model.
+        distances = [1e-3 * each.value for each in found.parameters if each.name == "camera_distance"]
+        if not all(math.isclose(each, found.model.camera_distance, rel_tol=1e-9) for each in distances):
             raise CalibrationError(
                 f"{file.with_name(FIT_FILE)} contains the figures of another calibration than {file}: keep each "
                 "calibration in a folder of its own"
             )
         return found
-
-    def _belongs_to_model(self) -> bool:
-        """Return whether model and figures come from the same fit: two fits never agree in every digit."""
-        distances = [1e-3 * each.value for each in self.parameters if each.name == "camera_distance"]
-        return all(math.isclose(each, self.model.camera_distance, rel_tol=1e-9) for each in distances)

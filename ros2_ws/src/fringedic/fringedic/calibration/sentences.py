@@ -193,21 +193,6 @@ def _no_rig(calibration: RigCalibration) -> str:
     )
 
 
-def _held_out_deviates(calibration: RigCalibration) -> str:
-    return (
-        f"The planes kept out of the fit deviate by up to {_micro(calibration.held_out)}, those in it by "
-        f"{_micro(calibration.systematic)} ({_noise(calibration.predicted)}): their angles are wrong, the rig "
-        "moved, or there are too few planes in the fit."
-    )
-
-
-def _uncertain_height(calibration: RigCalibration) -> str:
-    return (
-        f"The standard uncertainty of z due to the calibration is {_micro(calibration.height_sigma)} "
-        f"({_noise(calibration.predicted)}): use more planes or larger angles."
-    )
-
-
 def _beyond_noise(calibration: RigCalibration) -> str:
     worst = calibration.worst_plane
     return (
@@ -216,35 +201,29 @@ def _beyond_noise(calibration: RigCalibration) -> str:
     )
 
 
-def _within_noise(calibration: RigCalibration) -> str:
-    return (
-        f"The planes deviate by {_micro(calibration.systematic)} from the model{_tested(calibration)}; "
-        f"{_noise(calibration.predicted)}."
-    )
-
-
 _REASONS: dict[Reason, Callable[[RigCalibration], str]] = {
     Reason.BAD_IMAGE: _bad_images,
     Reason.NO_RIG_FITS: _no_rig,
-    Reason.HELD_OUT_DEVIATES: _held_out_deviates,
-    Reason.UNCERTAIN_HEIGHT: _uncertain_height,
+    Reason.HELD_OUT_DEVIATES: lambda calibration: (
+        f"The planes kept out of the fit deviate by up to {_micro(calibration.held_out)}, those in it by "
+        f"{_micro(calibration.systematic)} ({_noise(calibration.predicted)}): their angles are wrong, the rig "
+        "moved, or there are too few planes in the fit."
+    ),
+    Reason.UNCERTAIN_HEIGHT: lambda calibration: (
+        f"The standard uncertainty of z due to the calibration is {_micro(calibration.height_sigma)} "
+        f"({_noise(calibration.predicted)}): use more planes or larger angles."
+    ),
     Reason.BEYOND_NOISE: _beyond_noise,
-    Reason.WITHIN_NOISE: _within_noise,
+    Reason.WITHIN_NOISE: lambda calibration: (
+        f"The planes deviate by {_micro(calibration.systematic)} from the model{_tested(calibration)}; "
+        f"{_noise(calibration.predicted)}."
+    ),
 }
 
 
 def _text(finding: Finding) -> str:
     """Return the words of a finding, without the image that it concerns."""
     return _FINDINGS[finding.code](finding)
-
-
-def _other_angle(finding: Finding) -> str:
-    # a plane that was turned in the middle of its frames gives the same phase as one at half the angle
-    return (
-        f"the plane was at {math.degrees(finding.values['angle']):.2f} degree, not at "
-        f"{math.degrees(finding.values['stated']):g}: correct the angle, or measure it again if the plane may have "
-        "turned while its frames were taken"
-    )
 
 
 def _other_place(finding: Finding) -> str:
@@ -315,7 +294,12 @@ _FINDINGS: dict[str, Callable[[Finding], str]] = {
         f"{_ripples(finding.values['ripple'])}: the plane moved, or the light changed, while its frames were taken; "
         "measure it again"
     ),
-    ImageProblem.OTHER_ANGLE: _other_angle,
+    # a plane that was turned in the middle of its frames gives the same phase as one at half the angle
+    ImageProblem.OTHER_ANGLE: lambda finding: (
+        f"the plane was at {math.degrees(finding.values['angle']):.2f} degree, not at "
+        f"{math.degrees(finding.values['stated']):g}: correct the angle, or measure it again if the plane may have "
+        "turned while its frames were taken"
+    ),
     ImageProblem.OTHER_HEIGHT: lambda finding: (
         f"the plane was {_MM * finding.values['lift']:+.3f} mm away from its stated position: was it pushed or clamped "
         "again?"
@@ -366,23 +350,15 @@ _FINDINGS: dict[str, Callable[[Finding], str]] = {
 }
 
 
-def _bent(check: RigCheck) -> str:
-    return (
+_CHECKS: dict[str, Callable[[RigCheck], str]] = {
+    CheckProblem.BENT: lambda check: (
         f"a flat plate is measured as bent by {_micro(check.flatness)} ({_noise(check.noise)}): camera, projector or "
         "lens has moved since the calibration, or the plate is not flat"
-    )
-
-
-def _wrong_scale(check: RigCheck) -> str:
-    return (
+    ),
+    CheckProblem.SCALE: lambda check: (
         f"a distance of {_MM * check.expected:.3f} mm is measured as {measured_distance(check)} "
         f"({100 * check.scale_error / check.expected:+.2f} %): the scale or the geometry has changed"
-    )
-
-
-_CHECKS: dict[str, Callable[[RigCheck], str]] = {
-    CheckProblem.BENT: _bent,
-    CheckProblem.SCALE: _wrong_scale,
+    ),
     CheckWarning.OLD: lambda check: f"The calibration is {check.age / 86400:.0f} days old.",
     CheckWarning.DRIFT: lambda check: (
         f"The plate seems to have moved by {_micro(check.drift)} since its earlier measurement: wait until projector "
@@ -430,7 +406,7 @@ def position_in_words(kind: int, angle: float, height: float) -> str:
     return f"{_NAMES[PlaneKind(kind)]} at {math.degrees(angle) + 0.0:+.2f} degree and {1e3 * height + 0.0:+.3f} mm"
 
 
-def place_in_words(kind: int, angle: float, height: float) -> str:
+def placing_instruction(kind: int, angle: float, height: float) -> str:
     """Return the instruction to put something in front of the camera; angle [rad], height [m]."""
     if kind == PlaneKind.SPECIMEN:
         return "put the specimen back"

@@ -18,6 +18,7 @@ from fringedic.camera.findings import Finding
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.rig.geometry import UNKNOWN_FIRST
 
@@ -61,6 +62,8 @@ class Setting:
         Standard uncertainty of the stage [rad, m].
     camera_first
         (column, row) of the sensor with which the camera's image begins [px]; -1 when unknown.
+    sensor
+        Name of the camera with its projector.
     """
 
     identifier: str
@@ -69,6 +72,7 @@ class Setting:
     sigma_angle: float = 0.0
     sigma_height: float = 0.0
     camera_first: tuple[int, int] = UNKNOWN_FIRST
+    sensor: str = SENSOR
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,14 +240,26 @@ class CalibrationSession:
             identifier=setting.identifier,
             created=created,
         )
-        self.drift, noise = _drift(fitted, planes[0], planes[-1])
+        first = planes[0]
+        last = planes[-1]
+        surface = fitted.reconstruct(first.phase, first.sigma)
+        slope = np.abs(surface.dz_dphi.values.astype(float))
+        noise = float(np.nanmedian(slope * first.sigma))
+        if first is last or apart(last.angle - first.angle, last.height - first.height):
+            self.drift = math.nan
+        else:
+            change = slope * (last.phase.astype(float) - first.phase)
+            variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
+            self.drift = math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0))
         warnings = [*grid.warnings, *fitted.warnings]
         if math.isnan(self.drift):
             warnings.append(Finding(CalibrationWarning.DRIFT_UNKNOWN))
         elif self.drift > noise:
             warnings.append(Finding(CalibrationWarning.DRIFT, values={"change": self.drift, "noise": noise}))
         column, row = setting.camera_first
-        model = dataclasses.replace(fitted.model, camera_first_column=column, camera_first_row=row)
+        model = dataclasses.replace(
+            fitted.model, sensor=setting.sensor, camera_first_column=column, camera_first_row=row
+        )
         self.result = dataclasses.replace(fitted, model=model, warnings=tuple(warnings))
         return self.result
 
@@ -272,15 +288,3 @@ class CalibrationSession:
             raise CalibrationError("there is no calibration: calibrate comes first")
         if self.result.go:
             self.result.save(folder, summary)
-
-
-def _drift(fitted: RigCalibration, first: Plane, last: Plane) -> tuple[float, float]:
-    """Return the change of the first plane until its last measurement, RMS, and the noise of one pixel [m]."""
-    surface = fitted.reconstruct(first.phase, first.sigma)
-    slope = np.abs(surface.dz_dphi.values.astype(float))
-    noise = float(np.nanmedian(slope * first.sigma))
-    if first is last or apart(last.angle - first.angle, last.height - first.height):
-        return math.nan, noise
-    change = slope * (last.phase.astype(float) - first.phase)
-    variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
-    return math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0)), noise

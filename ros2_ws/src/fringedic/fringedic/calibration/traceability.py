@@ -37,15 +37,22 @@ class Traceability:
     target: str = ""
 
 
-def recorded_traceability(path: str | os.PathLike[str]) -> Traceability:
+def recorded_traceability(path: str | os.PathLike[str], sensor: str | None = None) -> Traceability:
     """Return what the recording of a calibration contains about grid, stage, target and operator.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    sensor
+        Name of the sensor, if the recording contains several.
 
     Raises
     ------
     RecordingError
         The recording cannot be read.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=sensor)
     topics = {full: name for name, full in reader.find("experiment/plane", "node_parameters").items()}
     parameters, known = RecordedParameters({}), Traceability()
     for message in reader.published(topics):

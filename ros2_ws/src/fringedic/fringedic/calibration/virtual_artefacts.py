@@ -15,8 +15,8 @@ from fringedic.phase import measure_phase
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
-_TRAVEL = 1e-3  # [m] of the crosshead, which brings the artefact from the origin to its place
-_CAP_DEGREE = 70.0  # of the balls above their base
+_TRAVEL = 1e-3  # [m]: the crosshead brings the artefact from the origin to its place
+_CAP_DEGREE = 70.0  # the balls end at this angle from their tops
 
 
 def measure_virtual_artefact(
@@ -39,18 +39,6 @@ def measure_virtual_artefact(
     place, artefacts
         What is placed where.
     """
-    twin = VirtualRig(_configuration(virtual, place, artefacts))
-    height, width = twin.projector_shape
-    frames = np.array(
-        [twin.expose(render_pattern(each, width, height), _TRAVEL, number) for number, each in enumerate(patterns)]
-    )
-    phase, _ = measure_phase(frames, patterns)
-    finest = patterns[-1]
-    return model.reconstruct(phase.phase, finest.pitch, phase.sigma, finest.orientation)
-
-
-def _configuration(virtual: VirtualRigConfiguration, place: Place, artefacts: Artefacts) -> VirtualRigConfiguration:
-    """Return the virtual rig with a matt white artefact at the place, at the crosshead position `_TRAVEL`."""
     radius = 0.5e3 * artefacts.diameter
     is_plane, is_bar = place.artefact is Artefact.PLANE, place.artefact is Artefact.BALL_BAR
     spacing = 1e3 * artefacts.spacing if is_bar else 0.0
@@ -73,4 +61,11 @@ def _configuration(virtual: VirtualRigConfiguration, place: Place, artefacts: Ar
         "texture": {"kind": "speckle", "feature_um": virtual.texture.feature_um, "coverage": 0.01, "floor": 0.95},
         "load_frame": {"maximum_position_mm": 1e3 * _TRAVEL},
     }
-    return VirtualRigConfiguration.from_dict(entries)
+    twin = VirtualRig(VirtualRigConfiguration.from_dict(entries))
+    height, width = twin.projector_shape
+    frames = np.array(
+        [twin.expose(render_pattern(each, width, height), _TRAVEL, number) for number, each in enumerate(patterns)]
+    )
+    phase, _ = measure_phase(frames, patterns)
+    finest = patterns[-1]
+    return model.reconstruct(phase.phase, finest.pitch, phase.sigma, finest.orientation)

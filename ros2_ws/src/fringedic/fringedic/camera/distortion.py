@@ -19,6 +19,7 @@ import yaml
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
+from fringedic.camera.camera_info import CameraInfo, is_camera_info
 from fringedic.errors import GridError, ImageError
 from fringedic.wording.arguments import array, check_value, whole
 from fringedic.wording.causes import cause_of
@@ -310,6 +311,8 @@ class DistortionMap:
     def load(cls, path: str | Path) -> Self:
         """Read a file that `save` wrote, or the calibration of a rig with a distortion.
 
+        The calibration of a camera by another program, ``ost.yaml`` or ``camera_info`` of ROS, is read as its lens.
+
         Raises
         ------
         GridError
@@ -317,6 +320,9 @@ class DistortionMap:
         """
         try:
             content = load_yaml(Path(path).read_text(encoding="utf-8"))
+            if is_camera_info(content):
+                camera = CameraInfo.of(content)
+                return cls(camera.width, camera.height, *camera.polynomials())
             return cls.from_dict(content["camera_distortion"])
         except GridError as error:
             raise GridError(f"{path}: {error}") from None

@@ -9,6 +9,8 @@ from .key_figures import key_figures as key_figures
 from .opening import open_campaign as open_campaign
 from .plan import Plan as Plan
 from .plan import Unit as Unit
+from .receipts import Failure as Failure
+from .receipts import Receipt as Receipt
 from .run import Status as Status
 from .run import current_plan as current_plan
 from .run import forget_failures as forget_failures
@@ -18,6 +20,4 @@ from .run import update_plan as update_plan
 from .settings import Campaign as Campaign
 from .settings import load_campaign as load_campaign
 from .store import CampaignStore as CampaignStore
-from .unit import Failure as Failure
-from .unit import Receipt as Receipt
 from .unit import process_unit as process_unit

@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.campaign.opening import open_group
+from fringedic.campaign.receipts import Receipt
 from fringedic.campaign.run import Status
 from fringedic.campaign.store import RECEIPTS, RECORDINGS, CampaignStore
-from fringedic.campaign.unit import Receipt
 from fringedic.datasets.attributes import origin_of, recorded_metadata
 
 FILE = "data-summary.json"
@@ -55,7 +55,7 @@ def data_summary(store: CampaignStore, status: Status) -> dict[str, Any]:
                 "DatesGenerated": _distinct(each.date for each in entries.values()),
                 "Rig": ", ".join(_distinct(each.rig for each in entries.values())),
                 "Software": status.plan.units[0].software if status.plan.units else {},
-                "Settings": status.plan.units[0].processing if status.plan.units else {},
+                "Settings": {unit.name: unit.processing for unit in status.plan.units},
             },
             "Samples": {
                 "Description": ", ".join(_distinct(each.receipt.labels["group"] for each in entries.values())),

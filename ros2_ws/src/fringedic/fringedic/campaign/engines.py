@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from fringedic.campaign.plan import Unit
-from fringedic.campaign.unit import Failure, Receipt, attempt, record_failure
+from fringedic.campaign.receipts import Failure, Receipt
+from fringedic.campaign.unit import attempt, record_failure
 from fringedic.errors import CampaignError
 from fringedic.wording.optional_packages import optional_import
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.campaign.unit import Receipt
+from fringedic.campaign.receipts import Receipt
 
 COMPARED = ("modulus", "poisson_ratio", "largest_strain", "largest_force")
 """Figures of the catalogue that are compared between the specimens of a group."""

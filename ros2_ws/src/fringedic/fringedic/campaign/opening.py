@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from fringedic.campaign.settings import FILE, load_campaign
+from fringedic.campaign.settings import store_address
 from fringedic.campaign.store import PLAN, RECEIPTS, CampaignStore
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import CampaignError
@@ -60,16 +59,6 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     }
     tree = xr.DataTree.from_dict({name: open_group(store, name) for name in receipts}, name=plan["title"] or None)
     return tree, _catalogue(receipts)
-
-
-def store_address(place: str | os.PathLike[str]) -> str:
-    """Return the address of the store of a campaign that is named by its folder, its file or the store itself."""
-    if "://" in str(place):
-        return str(place)
-    path = Path(place)
-    if path.is_file() or (path / FILE).is_file():
-        return load_campaign(path).store
-    return str(path.absolute())
 
 
 def open_group(store: CampaignStore, recording: str) -> xr.Dataset:

@@ -11,10 +11,10 @@ import xarray as xr
 
 from fringedic.campaign.groups import GroupStatistic, group_statistics
 from fringedic.campaign.opening import open_group
+from fringedic.campaign.receipts import Receipt
 from fringedic.campaign.run import Status
 from fringedic.campaign.sentences import status_sentences
 from fringedic.campaign.store import CampaignStore
-from fringedic.campaign.unit import Receipt
 from fringedic.datasets.quantities import people_unit
 from fringedic.errors import CampaignError
 from fringedic.figures.charts import SpecimenCurve, specimen_charts

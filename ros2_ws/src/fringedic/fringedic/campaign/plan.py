@@ -6,24 +6,23 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
 
-from fringedic.campaign.recordings import Found, Summary, is_growing, summarise, summarise_growing
 from fringedic.campaign.settings import Campaign, Elasticity
 from fringedic.campaign.software import software_identity
-from fringedic.datasets.processing import ProcessingSettings
 from fringedic.errors import FringedicError
-from fringedic.rig.model import RigModel
-from fringedic.steps.parameters import DicParameters
 from fringedic.wording.causes import cause_of
 
-_SHARED = ("processing", "software", "store")  # by all units
+if TYPE_CHECKING:
+    from fringedic.campaign.recordings import Found, Summary
+    from fringedic.datasets.processing import ProcessingSettings
+
+_SHARED = ("software", "store")  # by all units
 _LIBRARIES = 0.45e9  # [byte] of a worker before it processes anything
 _IMAGES = 3  # stacks of a step's frames in memory at the same time
 _MAPS = 150  # float32 images of a step in memory at the same time: 124 measured by benchmarks/campaign.py
 _MAPS_OF_A_KEPT_STEP = 5  # of a step that can become the reference
-_KEPT_STEPS = DicParameters().kept_steps
 
 
 @dataclass(frozen=True)
@@ -106,11 +105,15 @@ class Unit:
     @property
     def settings(self) -> ProcessingSettings:
         """What the recording is processed with."""
+        from fringedic.datasets.processing import ProcessingSettings  # not at the top: a state computes nothing
+        from fringedic.rig.model import RigModel
+
         calibration, reference = self.processing["calibration"], self.processing["reference"]
         return ProcessingSettings(
             overrides=self.processing["overrides"],
             references=() if reference is None else (reference,),
             calibration=RigModel.from_text(calibration) if calibration else None,
+            sensor=self.processing.get("sensor"),
             segment=None if self.part is None else (self.part, self.processing["segments"]),
         )
 
@@ -128,8 +131,6 @@ class Plan:
     ----------
     title, store
         Title of the campaign, and the address of its store.
-    settings_hash
-        Of the settings, without recordings and software.
     units
         Units of work in the order of their names.
     refused
@@ -140,27 +141,45 @@ class Plan:
 
     title: str
     store: str
-    settings_hash: str
     units: tuple[Unit, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
     unusual_shapes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
+    @property
+    def size(self) -> int:
+        """Number of recordings, those that are refused included."""
+        return len(self.units) + len(self.refused)
+
     def to_document(self) -> dict[str, Any]:
-        """Return the plan as JSON values; what all units share is there once."""
+        """Return the plan as JSON values; what units share is there once."""
         document = asdict(self)
+        processing: list[dict[str, Any]] = []
         for unit in document["units"]:
+            if unit["processing"] not in processing:
+                processing.append(unit["processing"])
+            unit["processing"] = processing.index(unit["processing"])
             for name in _SHARED:
                 document[name] = unit.pop(name)
-        return document
+        return {**document, "processing": processing}
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> Plan:
         """Return what `to_document` returned."""
         shared = {name: document[name] for name in _SHARED if name in document}
+        processing = document["processing"]
         units = tuple(
-            Unit(**shared, **{**each, "fingerprint": _tuples(each["fingerprint"])}) for each in document["units"]
+            Unit(
+                **{
+                    **shared,
+                    **each,
+                    "fingerprint": _tuples(each["fingerprint"]),
+                    # plans of earlier versions have one for all units
+                    "processing": processing[each["processing"]] if "processing" in each else processing,
+                }
+            )
+            for each in document["units"]
         )
-        own = {name: value for name, value in document.items() if name not in ("processing", "software")}
+        own = {each.name: document[each.name] for each in fields(cls) if each.name in document}
         shapes = {name: (rows, columns) for name, (rows, columns) in document["unusual_shapes"].items()}
         return cls(**{**own, "units": units, "unusual_shapes": shapes})
 
@@ -182,7 +201,7 @@ def make_plan(campaign: Campaign, recordings: Iterable[Found], *, follow: bool =
 
 def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]) -> Plan:
     """Make the plan of a campaign from the summaries of its recordings, or the reasons why they are refused."""
-    processing, software = campaign.processing, software_identity()
+    software = software_identity()
     units: list[Unit] = []
     refused: dict[str, str] = {}
     shapes: dict[str, tuple[int, int]] = {}
@@ -192,11 +211,10 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
             continue
         if summary.frames:
             shapes[found.name] = summary.image_shape
-        units.append(_unit(campaign.store, found, summary, processing, software))
+        units.append(_unit(campaign.store, found, summary, campaign.processing(found.entry), software))
     return Plan(
         title=campaign.content.title,
         store=campaign.store,
-        settings_hash=_hash(processing),
         units=tuple(units),
         refused=refused,
         unusual_shapes=_unusual(shapes),
@@ -216,7 +234,10 @@ def predicted_memory(summary: Summary, overrides: Mapping[str, Any] | None = Non
     overrides
         Parameters that replace the recorded ones, of which ``kept_steps`` counts.
     """
-    kept: list[int] = [(overrides or {}).get(f"{node}.kept_steps", _KEPT_STEPS) for node in ("dic", "coupling")]
+    from fringedic.steps.parameters import DicParameters
+
+    usual = DicParameters().kept_steps
+    kept: list[int] = [(overrides or {}).get(f"{node}.kept_steps", usual) for node in ("dic", "coupling")]
     maps = _MAPS + _MAPS_OF_A_KEPT_STEP * min(max(kept), summary.steps)
     pixels = summary.image_shape[0] * summary.image_shape[1]
     itemsize = 2 if summary.image_type == "uint16" else 1
@@ -232,7 +253,7 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
         processing=processing,
         software=software,
         fingerprint=summary.fingerprint,
-        labels=found.labels.model_dump(),
+        labels=found.labels,
         steps=summary.steps,
         size=summary.size,
         memory=predicted_memory(summary, processing["overrides"]) if summary.frames else 0.0,
@@ -240,14 +261,19 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
 
 
 def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summary | str:
+    from fringedic.campaign.recordings import is_growing, summarise, summarise_growing
+
+    if found.missing:
+        return found.missing
     try:
         growing = follow and is_growing(found.path)
-        summary = summarise_growing(found.path) if growing else summarise(found.path)
+        summary = summarise_growing(found.path) if growing else summarise(found.path, campaign.content.sensor)
     except FringedicError as error:
         return str(error)
     except OSError as error:
         return f"{found.path}: cannot be read: {cause_of(error)}"
-    if not summary.calibrated and not campaign.calibration and summary.frames_per_step > 1:
+    given = found.entry.calibration or campaign.content.calibration
+    if not summary.calibrated and not given and summary.frames_per_step > 1:
         return (
             f"{found.path}: contains no calibration of the rig, which fringes need; give one as 'calibration' in the "
             "file of the campaign"

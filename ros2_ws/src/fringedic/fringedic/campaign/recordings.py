@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import glob
-import re
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,26 +11,41 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.campaign.settings import Campaign, Labels
+from fringedic.campaign.settings import Campaign, Labels, RecordingEntry
 from fringedic.errors import CampaignError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.recording.bag_files import METADATA, find_files, recording_of
-from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.growing import GrowingRecording
 from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
-
-_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
+from fringedic.recording.topics import EXPOSURE, IMAGE
+from fringedic.wording.path_names import recording_names
 
 
 @dataclass(frozen=True)
 class Found:
-    """A recording of a campaign: its name in the store, its place, and its labels."""
+    """A recording of a campaign: its name in the store, its place, and the entry that names it.
+
+    Attributes
+    ----------
+    name, path
+        Of the recording, or of an entry that names none.
+    entry
+        Of the file of the campaign.
+    missing
+        Why there is nothing to process; empty for a recording.
+    """
 
     name: str
     path: str
-    labels: Labels
+    entry: RecordingEntry
+    missing: str = ""
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Labels of the catalogue."""
+        return self.entry.model_dump(include=set(Labels.model_fields))
 
 
 @dataclass(frozen=True)
@@ -73,28 +86,34 @@ class Summary:
 
 
 def find_recordings(campaign: Campaign) -> list[Found]:
-    """Return the recordings of a campaign, sorted by their names in the store.
+    """Return the recordings of a campaign, sorted by their names in the store; entries without one say why.
 
     Raises
     ------
     CampaignError
-        An entry names no recording, or one is named twice.
+        A recording is named twice.
     """
-    places: dict[str, Labels] = {}
+    entries: dict[str, RecordingEntry] = {}
+    missing: dict[str, str] = {}
     for entry in campaign.content.recordings:
-        found = _matching(entry.path, campaign.folder)
+        matching = _matching(entry.path, campaign.folder)
+        left_out = {path for pattern in entry.exclude for path in _matching(pattern, campaign.folder)}
+        found = [path for path in matching if path not in left_out]
         if not found:
-            raise CampaignError(
-                f"{campaign.folder}: no recording matches '{entry.path}'; give a recording, a folder with recordings, "
-                "or a pattern with *"
-            )
-        labels = Labels(**entry.model_dump(exclude={"path"}))
+            place = entry.path if is_remote(entry.path) else str(campaign.folder / entry.path)
+            cause = "'exclude' leaves out all recordings" if matching else "there is no recording"
+            missing[place] = f"{place}: {cause}; correct the entry in the file of the campaign"
+            found = [place]
         for path in found:
-            if path in places:
-                raise CampaignError(f"{path}: is named by two entries of the campaign; remove it from one of them")
-            places[path] = labels
-    names = distinguishing_names(list(places))
-    return sorted((Found(names[path], path, labels) for path, labels in places.items()), key=lambda each: each.name)
+            if path in entries:
+                raise CampaignError(
+                    f"{path}: is named by two entries of the campaign; remove it from one of them, or add it to the "
+                    "'exclude' of one"
+                )
+            entries[path] = entry
+    names = recording_names(entries)
+    every = (Found(names[path], path, entry, missing.get(path, "")) for path, entry in entries.items())
+    return sorted(every, key=lambda each: each.name)
 
 
 def _matching(pattern: str, folder: Path) -> list[str]:
@@ -102,7 +121,9 @@ def _matching(pattern: str, folder: Path) -> list[str]:
     if is_remote(pattern):
         return find_remote(pattern)
     matches = (Path(each) for each in glob.glob(str(folder / pattern), recursive=True))
-    return sorted({str(found) for match in matches for found in _inside(match.absolute())})
+    # ".." is not the end of a name, and one recording has one path
+    places = (match.resolve() if ".." in match.parts else match.absolute() for match in matches)
+    return sorted({str(found) for place in places for found in _inside(place)})
 
 
 def _inside(path: Path) -> Iterator[Path]:
@@ -117,38 +138,6 @@ def _inside(path: Path) -> Iterator[Path]:
     for inner in sorted(path.iterdir()):
         if inner.is_dir():
             yield from _inside(inner)
-
-
-def distinguishing_names(paths: list[str]) -> dict[str, str]:
-    """Return the shortest name of each recording that distinguishes it: the end of its path.
-
-    Raises
-    ------
-    CampaignError
-        Two names cannot be distinguished.
-
-    Examples
-    --------
-    >>> distinguishing_names(["/a/plate-7/bag", "/a/plate-8/bag"])
-    {'/a/plate-7/bag': 'plate-7', '/a/plate-8/bag': 'plate-8'}
-    """
-    parts = {path: _name_parts(path) for path in paths}
-    names: dict[str, str] = {}
-    for depth in range(1, 1 + max(map(len, parts.values()))):
-        candidates = {path: "_".join(parts[path][-depth:]) for path in paths if path not in names}
-        counted = Counter([*candidates.values(), *names.values()])
-        names |= {path: name for path, name in candidates.items() if counted[name] == 1}
-    same = [path for path in paths if path not in names]
-    if same:
-        raise CampaignError(f"{', '.join(same)}: the names cannot be distinguished; rename one of the recordings")
-    return names
-
-
-def _name_parts(place: str) -> list[str]:
-    """Return the parts of the path that name a recording: that of its run for the folder ``bag`` of a run."""
-    path = Path("/", *place.split("://")[-1].split("/"))
-    named = path.parent if path.name == "bag" else path.with_suffix("") if path.suffix == ".mcap" else path
-    return [_NOT_IN_NAMES.sub("-", part).strip("-") or "-" for part in named.parts[1:]] or ["recording"]
 
 
 def fingerprint(path: str) -> dict[str, tuple[int, int]]:
@@ -173,23 +162,29 @@ def fingerprint(path: str) -> dict[str, tuple[int, int]]:
     return found
 
 
-def summarise(path: str) -> Summary:
+def summarise(path: str, sensor: str | None = None) -> Summary:
     """Return the summary of a recording; of its messages the first image and the first exposure record are read.
+
+    Parameters
+    ----------
+    path, sensor
+        The recording, and the name of the sensor, if it contains several.
 
     Raises
     ------
     RecordingError
-        There is no such recording, it is damaged or cut off, or has no images or exposure records.
+        There is no such recording, it is damaged or cut off, has no images or exposure records, or contains several
+        sensors and none is chosen.
     """
     if is_remote(path):
         with RemoteRecording(path).copied((IMAGE, EXPOSURE), first=True) as nearby:
-            return _summary(path, nearby)
-    return _summary(path, Path(path))
+            return _summary(path, nearby, sensor)
+    return _summary(path, Path(path), sensor)
 
 
-def _summary(path: str, nearby: Path) -> Summary:
+def _summary(path: str, nearby: Path, sensor: str | None) -> Summary:
     identity = fingerprint(str(nearby))
-    reader = BagReader(nearby)
+    reader = BagReader(nearby, sensor=sensor)
     if reader.lost:
         raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")
     names = reader.find(IMAGE, EXPOSURE)

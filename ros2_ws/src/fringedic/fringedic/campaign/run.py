@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit, make_plan
-from fringedic.campaign.recordings import find_recordings
+from fringedic.campaign.receipts import Failure, Receipt, other_results
 from fringedic.campaign.settings import Campaign
 from fringedic.campaign.software import software_identity
 from fringedic.campaign.store import BEGUN, FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
-from fringedic.campaign.unit import Failure, Receipt, other_results
 from fringedic.errors import CampaignError
-from fringedic.recording.bag_files import recorded_bytes
-from fringedic.recording.remote import is_remote
 
 
 @dataclass(frozen=True)
@@ -129,6 +126,8 @@ def update_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = F
     CampaignError
         The store contains results of other settings, recordings or software.
     """
+    from fringedic.campaign.recordings import find_recordings  # not at the top: a state needs no recording
+
     store = CampaignStore(campaign.store)
     plan = make_plan(campaign, find_recordings(campaign), follow=follow)
     if recompute:
@@ -165,15 +164,18 @@ def _fits(plan: Plan, campaign: Campaign) -> bool:
 
     A recording that was continued since then is another one; those in an object store are not looked at again.
     """
-    named = {each.name: (each.path, each.labels.model_dump()) for each in find_recordings(campaign)}
-    planned = {unit.name: (unit.path, unit.labels) for unit in plan.units}
+    from fringedic.campaign.recordings import find_recordings
+    from fringedic.recording.bag_files import recorded_bytes
+    from fringedic.recording.remote import is_remote
+
+    named = {each.name: (each.path, each.labels, campaign.processing(each.entry)) for each in find_recordings(campaign)}
+    planned = {unit.name: (unit.path, unit.labels, unit.processing) for unit in plan.units}
     units = plan.units
     return (
         named.keys() == planned.keys() | plan.refused.keys()
         and planned.items() <= named.items()
         and bool(units)
         and all(is_remote(unit.path) or recorded_bytes(Path(unit.path)) == unit.size for unit in units)
-        and units[0].processing == campaign.processing
         and units[0].software == software_identity()
         and not any(unit.growing for unit in units)
         and plan.title == campaign.content.title

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit
+from fringedic.campaign.receipts import Failure, Receipt
 from fringedic.campaign.run import Status
-from fringedic.campaign.unit import Failure, Receipt
 from fringedic.wording.numbers import counted
 
 _SHOWN = 20  # failures, before the rest is counted
@@ -19,8 +19,8 @@ def plan_sentences(plan: Plan) -> list[str]:
     steps, size = sum(unit.steps for unit in plan.units), sum(unit.size for unit in plan.units)
     largest = max((unit.memory for unit in plan.units), default=0.0)
     return [
-        f"plan: {counted(len(plan.units), 'recording')}, about {counted(steps, 'step')}, {1e-9 * size:.2f} GB, "
-        f"{1e-9 * largest:.1f} GB of memory per worker, store {plan.store}",
+        f"plan: {len(plan.units)} of {counted(plan.size, 'recording')}, about {counted(steps, 'step')}, "
+        f"{1e-9 * size:.2f} GB, {1e-9 * largest:.1f} GB of memory per worker, store {plan.store}",
         *(
             f"odd: {name} has images of {columns}x{rows} px, unlike most recordings"
             for name, (rows, columns) in plan.unusual_shapes.items()
@@ -32,7 +32,7 @@ def plan_sentences(plan: Plan) -> list[str]:
 
 def status_sentences(status: Status) -> list[str]:
     """Return the state of a campaign and its failures."""
-    counts = f"{len(status.done)} of {counted(len(status.plan.units), 'recording')} complete"
+    counts = f"{len(status.done)} of {counted(status.plan.size, 'recording')} complete"
     return [
         f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
         *_listed("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import CalibrationError, CampaignError
-from fringedic.frames.region import Region
-from fringedic.rig.model import RigModel
-from fringedic.steps.recorded_parameters import RecordedParameters
+from fringedic.frames.sensor import SensorName
+
+if TYPE_CHECKING:
+    from fringedic.frames.region import Region
 
 FILE = "campaign.yaml"
 EXAMPLE = """\
@@ -23,6 +26,7 @@ recordings:
   - path: recordings/plate-*        # a recording, the folder of a run, a folder with recordings, or a pattern
     material: PMMA                  # labels of the catalogue: specimen, material, group, test
     group: batch 7
+    # exclude: [recordings/plate-3]  # left out; an entry can have its own settings and calibration, too
 settings:                           # replace the recorded parameters, as --set of fringedic process
   dic.window: 32
 # calibration: calibration/calibration.yaml   # replaces the recorded one
@@ -40,10 +44,16 @@ class Labels(Section):
     test: str = Field("", description="Number or name of the test.")
 
 
+_Settings = dict[str, bool | int | float | str | list[int]]
+
+
 class RecordingEntry(Labels):
-    """Recordings with the same labels."""
+    """Recordings with the same labels and settings."""
 
     path: str = Field(description="Recording, folder of a run, folder with recordings, or a pattern with * and **.")
+    exclude: list[str] = Field([], description="Recordings of the path that are left out, named as in path.")
+    settings: _Settings = Field({}, description="Parameters of these recordings, beside those of the campaign.")
+    calibration: str | None = Field(None, description="Calibration of these recordings instead of the campaign's.")
 
 
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -69,6 +79,8 @@ class Elasticity(Section):
     @property
     def region(self) -> Region | None:
         """The region; None for all points."""
+        from fringedic.frames.region import Region  # not at the top: a state needs neither images nor rigs
+
         if not self.region_px:
             return None
         corners = [(column, row) for column, row in self.region_px]
@@ -81,9 +93,8 @@ class CampaignFile(Section):
     title: str = Field("", description="Title of the campaign.")
     store: str = Field("store", description="Folder or address (s3://...) of the results.")
     recordings: list[RecordingEntry] = Field(min_length=1, description="Recordings with their labels.")
-    settings: dict[str, bool | int | float | str | list[int]] = Field(
-        {}, description="Parameters that replace the recorded ones, such as dic.window."
-    )
+    settings: _Settings = Field({}, description="Parameters that replace the recorded ones, such as dic.window.")
+    sensor: SensorName | None = Field(None, description="Name of the sensor, if the recordings contain several.")
     calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
     reference: int | None = Field(None, description="Step that all others are measured against.")
     segments: int = Field(
@@ -104,28 +115,29 @@ class Campaign:
         Of the file; relative paths count from it.
     content
         The checked content.
-    calibration
-        Text of the calibration that replaces the recorded ones; empty without one.
+    calibrations
+        Texts of the calibrations by their names in the file.
     """
 
     folder: Path
     content: CampaignFile
-    calibration: str
+    calibrations: Mapping[str, str]
 
     @property
     def store(self) -> str:
         """Address of the store."""
         return address(self.content.store, self.folder)
 
-    @property
-    def processing(self) -> dict[str, Any]:
-        """Everything that the results depend on beside recordings and software, as JSON values."""
+    def processing(self, entry: RecordingEntry) -> dict[str, Any]:
+        """Return everything that results depend on beside recordings and software, as JSON values."""
+        calibration = entry.calibration or self.content.calibration
         return {
-            "overrides": dict(sorted(self.content.settings.items())),
+            "overrides": dict(sorted({**self.content.settings, **entry.settings}.items())),
             "reference": self.content.reference,
-            "calibration": self.calibration,
+            "calibration": self.calibrations[calibration] if calibration else "",
             "segments": self.content.segments,
             "elasticity": self.content.elasticity.model_dump(mode="json"),
+            **({} if self.content.sensor is None else {"sensor": self.content.sensor}),
         }
 
 
@@ -144,10 +156,15 @@ def load_campaign(path: Path) -> Campaign:
     CampaignError
         The calibration cannot be read.
     """
+    from fringedic.steps.recorded_parameters import RecordedParameters
+
     file = path / FILE if path.is_dir() else path
     content = load_sections(file, CampaignFile)
-    RecordedParameters(content.settings)
-    return Campaign(file.parent, content, _calibration_text(file, content.calibration))
+    entries: tuple[CampaignFile | RecordingEntry, ...] = (content, *content.recordings)
+    for each in entries:
+        RecordedParameters(each.settings)
+    named = {each.calibration for each in entries if each.calibration}
+    return Campaign(file.parent, content, {name: _calibration_text(file, name) for name in sorted(named)})
 
 
 def address(store: str, folder: Path) -> str:
@@ -163,9 +180,20 @@ def address(store: str, folder: Path) -> str:
     return store if "://" in store else str((folder / store).absolute())
 
 
-def _calibration_text(file: Path, calibration: str | None) -> str:
-    if calibration is None:
-        return ""
+def store_address(place: str | os.PathLike[str]) -> str:
+    """Return the address of the store of a campaign that is named by its folder, its file or the store itself."""
+    if "://" in str(place):
+        return str(place)
+    path = Path(place)
+    if path.is_file() or (path / FILE).is_file():
+        file = path / FILE if path.is_dir() else path
+        return address(load_sections(file, CampaignFile).store, file.parent)
+    return str(path.absolute())
+
+
+def _calibration_text(file: Path, calibration: str) -> str:
+    from fringedic.rig.model import RigModel
+
     path = file.parent / calibration
     try:
         text = path.read_text("utf-8")

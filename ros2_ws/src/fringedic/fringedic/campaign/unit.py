@@ -4,84 +4,25 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from fringedic.campaign.group_store import GroupStore, join_parts
 from fringedic.campaign.key_figures import key_figures
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
+from fringedic.campaign.receipts import Failure, Receipt, read_receipt, receipt_name
 from fringedic.campaign.recordings import fingerprint, summarise
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
-from fringedic.campaign.store import (
-    BEGUN,
-    FAILURES,
-    PARTS,
-    RECEIPTS,
-    RECORDINGS,
-    CampaignStore,
-    GroupStore,
-    join_parts,
-)
+from fringedic.campaign.store import BEGUN, FAILURES, RECORDINGS, CampaignStore
 from fringedic.datasets.processing import PROCESSED_TOPICS, follow_into, process_into
 from fringedic.errors import CampaignError, FringedicError
 from fringedic.evaluation.elasticity import constants_of, strain_curve
 from fringedic.recording.growing import PATIENCE_S, FollowError, GrowingRecording
 from fringedic.recording.remote import local_copy
 from fringedic.wording.causes import cause_of
-
-
-@dataclass(frozen=True)
-class Receipt:
-    """The commit marker of a recording: all objects of its group are written.
-
-    Attributes
-    ----------
-    name, key
-        Of the unit.
-    software, fingerprint, labels
-        Of the unit.
-    digest, objects, size
-        SHA-256 over all objects of the group, their number and their size [byte].
-    figures
-        Of `key_figures`.
-    curve
-        Of `fringedic.evaluation.strain_curve`: values over the steps by their names; None where not known.
-    seconds, worker, processor
-        Duration, and where it was processed.
-    input_size
-        Of the recording [byte].
-    attempts
-        How often it was begun: more than once after an interruption.
-    """
-
-    name: str
-    key: str
-    software: dict[str, str]
-    fingerprint: dict[str, Any]
-    labels: dict[str, str]
-    digest: str
-    objects: int
-    size: int
-    figures: dict[str, Any]
-    curve: dict[str, list[float | None]]
-    seconds: float
-    worker: str
-    processor: str
-    input_size: int
-    attempts: int = 1
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A recording that could not be processed, with the reason as one sentence."""
-
-    name: str
-    key: str
-    reason: str
-    worker: str = field(default_factory=worker_name)
 
 
 def process_unit(unit: Unit) -> Receipt:
@@ -144,10 +85,10 @@ def _follow(unit: Unit) -> Receipt:
         group = GroupStore(store, unit.name)
         with suppress(FollowError):
             follow_into(group, recording, unit.settings, lambda *_: begun.count_step())
-            return _commit(unit.completed(summarise(unit.path)), group, begun)
+            return _commit(unit.completed(summarise(unit.path, unit.settings.sensor)), group, begun)
         begun.remove()
     recording.wait()
-    return process_unit(unit.completed(summarise(unit.path)))
+    return process_unit(unit.completed(summarise(unit.path, unit.settings.sensor)))
 
 
 @dataclass
@@ -210,16 +151,12 @@ def _commit(unit: Unit, group: GroupStore, begun: _Begun) -> Receipt:
         input_size=unit.size,
         attempts=begun.attempts,
     )
-    store.write(_receipt_name(unit), asdict(receipt))
+    store.write(receipt_name(unit), asdict(receipt))
     begun.remove()
     for part in unit.parts:
-        store.remove(_receipt_name(part))
+        store.remove(receipt_name(part))
         store.remove(f"{RECORDINGS}/{part.name}")
     return receipt
-
-
-def _receipt_name(unit: Unit) -> str:
-    return f"{RECEIPTS if unit.part is None else PARTS}/{unit.name}.json"
 
 
 def attempt(unit: Unit) -> Receipt | Failure:
@@ -245,31 +182,6 @@ def record_failure(unit: Unit, reason: str) -> Failure:
         store.write(f"{FAILURES}/{unit.name}.json", asdict(failure))
         store.remove(f"{BEGUN}/{unit.name}.json")
     return failure
-
-
-def read_receipt(store: CampaignStore, unit: Unit) -> Receipt | None:
-    """Return the receipt of a unit; None if it is not complete.
-
-    Raises
-    ------
-    CampaignError
-        The store contains results of other settings.
-    """
-    document = store.read(_receipt_name(unit))
-    if document is None:
-        return None
-    if document["key"] != unit.key:
-        raise other_results(store.address, [unit.name])
-    return Receipt(**document)
-
-
-def other_results(address: str, names: list[str]) -> CampaignError:
-    """Return the error of a store whose results have another key than the plan."""
-    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return CampaignError(
-        f"the store {address} contains results of other settings, recordings or software for {shown}: give another "
-        "store in the file of the campaign, or compute them again with 'fringedic campaign run --recompute'"
-    )
 
 
 def _known(values: np.ndarray) -> list[float | None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import xarray as xr
 
@@ -18,6 +18,8 @@ from fringedic.errors import CalibrationError, ConfigurationError
 from fringedic.report.acceptance import ACCEPTANCE_PAGE, write_acceptance_page
 from fringedic.rig.model import RigModel
 
+Shape: TypeAlias = xr.Dataset  # the surface of an artefact, as of `RigModel.reconstruct`
+
 
 class MeasureShapes(Protocol):
     """Yields the surfaces of artefacts that an operator places before a rig."""
@@ -25,7 +27,6 @@ class MeasureShapes(Protocol):
     def __call__(
         self,
         rig: RigFile,
-        rig_path: Path,
         folder: Path,
         progress: Progress,
         *,
@@ -33,7 +34,7 @@ class MeasureShapes(Protocol):
         places: list[Place],
         ask: Callable[[str], bool],
         domain: int | None,
-    ) -> Iterator[xr.Dataset]:
+    ) -> Iterator[Shape]:
         """Take the arguments of `accept`, the calibration and the places."""
 
 
@@ -84,7 +85,7 @@ def accept(
     if rig.virtual_rig is not None:
         shapes = _virtual_shapes(rig, model, places, artefacts, progress)
     else:
-        shapes = measure()(rig, rig_path, folder, progress, model=model, places=places, ask=ask, domain=domain)
+        shapes = measure()(rig, folder, progress, model=model, places=places, ask=ask, domain=domain)
     results = []
     for number, (place, shape) in enumerate(zip(places, shapes, strict=True), start=1):
         try:
@@ -99,7 +100,7 @@ def accept(
 
 def _virtual_shapes(
     rig: RigFile, model: RigModel, places: list[Place], artefacts: Artefacts, progress: Progress
-) -> Iterator[xr.Dataset]:
+) -> Iterator[Shape]:
     """Yield the surfaces of the artefacts before a virtual rig, rendered without nodes."""
     from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
 

@@ -190,6 +190,10 @@ ReferenceStep = Annotated[
 Calibration = Annotated[
     Path | None, typer.Option(help="Calibration that replaces the recorded one: its file or folder.")
 ]
+Sensor = Annotated[
+    str | None,
+    typer.Option("--sensor", metavar="NAME", help="Name of the sensor, if the recording contains several."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 Output = Annotated[Path | None, typer.Option(help="Output folder.")]
 Settings = Annotated[
@@ -357,11 +361,6 @@ def losses(bag: Path) -> list[str]:
 def next_reading(source: Path) -> str:
     """Return the commands that show the results of a recording or dataset."""
     return f"next: `fringedic report {source}` shows the results, `fringedic export {source}` converts them"
-
-
-def title_of(bag: Path) -> str:
-    """Return the name of a recording: that of its run when it is the folder ``bag`` of a run."""
-    return bag.absolute().parent.name if bag.name == "bag" else bag.name.removesuffix(".mcap")
 
 
 @contextmanager

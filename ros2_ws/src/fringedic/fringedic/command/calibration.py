@@ -12,6 +12,7 @@ from fringedic.command.app import (
     SET_UP,
     Overwrite,
     Rig,
+    Sensor,
     app,
     begin,
     console,
@@ -44,6 +45,7 @@ def calibrate(
     recording: Annotated[
         Path | None, typer.Option("--from", help="Repeat the calculation from the recording of a calibration.")
     ] = None,
+    sensor: Sensor = None,
     output: Annotated[Path, typer.Option(help="Folder for calibration, report and recording.")] = Path("calibration"),
 ) -> None:
     """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 for NO-GO."""
@@ -51,6 +53,8 @@ def calibrate(
         raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
     if recording is not None:
         refuse_unused(context, {"angles_deg"}, "--from takes the angles from the recording; leave one of them out")
+    else:
+        refuse_unused(context, {"sensor"}, "it is the sensor of the rig file; leave it out")
     begin(rig or recording or output)
     folder = unused_folder(output)
     say(*(losses(recording) if recording is not None else []))
@@ -58,7 +62,7 @@ def calibrate(
         if recording is not None:
             from fringedic.command.calibrate_again import calibrate_again
 
-            report = calibrate_again(recording, folder, progress)
+            report = calibrate_again(recording, folder, progress, sensor)
         elif rig is not None:
             report = _calibrate_with_nodes(rig_path_of(rig), angles_deg, folder, progress)
     say(*report.words)

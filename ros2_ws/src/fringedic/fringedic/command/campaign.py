@@ -16,7 +16,7 @@ from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:
     from fringedic.campaign import Engine, Status, Unit
-    from fringedic.campaign.unit import Failure, Receipt
+    from fringedic.campaign.receipts import Failure, Receipt
 
 campaigns = Commands(
     cls=Group,
@@ -111,8 +111,8 @@ def retry(
 def status(folder: Folder) -> None:
     """Say what is complete, failed and waiting, by the receipts in the store alone."""
     from fringedic.campaign import CampaignStore, read_plan, status_of
-    from fringedic.campaign.opening import store_address
     from fringedic.campaign.sentences import status_sentences
+    from fringedic.campaign.settings import store_address
 
     store = CampaignStore(store_address(folder))
     found = status_of(store, read_plan(store))
@@ -127,9 +127,9 @@ def open_results(
 ) -> None:
     """Print the catalogue, write a page with a thumbnail of each recording and data-summary.json into the store."""
     from fringedic.campaign import CampaignStore, data_summary, open_campaign, read_plan, status_of
-    from fringedic.campaign.opening import store_address
     from fringedic.campaign.page import write_campaign_page
     from fringedic.campaign.sentences import unplanned_sentences
+    from fringedic.campaign.settings import store_address
 
     _, catalogue = open_campaign(folder)
     columns = ["specimen", "group", "steps", "confirmed_fraction", "largest_strain", "sigma_largest_strain"]

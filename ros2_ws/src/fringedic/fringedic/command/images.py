@@ -29,6 +29,7 @@ DATASET = "displacement.nc"
 PHASE = "phase.nc"
 PHASE_PICTURE = "phase.png"
 REPORT = "report.html"
+RECORDED_IMAGES = "images"
 
 
 @app.command(
@@ -42,6 +43,13 @@ def measure(  # noqa: PLR0913 (options of a command)
             metavar="IMAGES", help="The reference image, then the deformed images in order; or their folder."
         ),
     ],
+    bag: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="IMAGES is a recording: measure the images on this topic, the first one is the reference.",
+        ),
+    ] = None,
     window: Annotated[int, typer.Option(min=8, max=256, help="Width of the subset in px.")] = 32,
     spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points in px.")] = 4,
     strain_window: Annotated[
@@ -86,6 +94,8 @@ def measure(  # noqa: PLR0913 (options of a command)
     from fringedic.images.sentences import failure_sentences, series_sentences
     from fringedic.report import write_report
 
+    if bag is not None:
+        images = _recorded_images(images, bag, output)
     files = image_files(images)
     for each in regions.values():
         each.mask_for(read_grey(files[0]).shape)  # refused before the measurement
@@ -119,6 +129,17 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise typer.Exit(130)
     if series.failed:
         raise StepFailedError(f"{len(series.failed)} of {len(files)} images were not measured, see above")
+
+
+def _recorded_images(places: list[Path], topic: str, output: Path) -> list[Path]:
+    """Write the images on a topic of a recording as files into the output folder."""
+    from fringedic.images.recorded import save_images
+
+    if len(places) > 1:
+        raise ConfigurationError(f"--bag {topic}: give one recording, not {len(places)} files")
+    files = save_images(places[0], topic, output / RECORDED_IMAGES)
+    say(f"images: {len(files)} of {topic} in {output / RECORDED_IMAGES}")
+    return files
 
 
 @app.command(rich_help_panel=IMAGES, epilog="Example: fringedic phase images --description fringes.yaml")

@@ -35,6 +35,11 @@ def main() -> None:
             code = app(standalone_mode=False) or 0
     except FringedicError as error:
         _end(str(error), 1)
+    except typer.Abort:  # Ctrl-C or Ctrl-D at a question
+        _end(
+            "ended at a question without an answer, nothing was written; each question has an option (--help)",
+            INTERRUPTED,
+        )
     except OSError as error:  # of a path that cannot be used, or a full disk
         place = f"{error.filename}: " if error.filename else ""
         _end(f"{place}{cause_of(error)}; choose another path or make room", 1)

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fringedic.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, refuse_unused, say
+from fringedic.command.app import RESULTS, Overwrite, Sensor, Source, Sources, app, output_file, refuse_unused, say
 from fringedic.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from fringedic.models.observed import Edge, Pair
 
 _MILLI = 1e-3
-_OF_THE_DISPLACEMENT = {"by", "by_displacement", "reference_image", "results", "strain", "load_table"}  # options
+_OF_THE_DISPLACEMENT = {  # options
+    *("by", "by_displacement", "remove_rigid_motion", "reference_image", "results", "strain", "load_table"),
+}
 
 
 @app.command(
@@ -31,12 +33,19 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         Path, typer.Argument(metavar="MODEL", help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")
     ],
     unit: Annotated[str, typer.Option(help="Of lengths in the mesh: m, mm, um or inch.")],
+    sensor: Sensor = None,
     load: Annotated[
         list[float] | None,
         typer.Option(help="Force in N of each load step of the mesh, or crosshead position in mm; may be repeated."),
     ] = None,
     by: Annotated[str, typer.Option(help="What the loads of the mesh are: force or position.")] = "force",
-    field: Annotated[str | None, typer.Option(help="Name of the displacement in the mesh.")] = None,
+    times_are_loads: Annotated[
+        bool, typer.Option("--times-are-loads", help="The times of an Exodus file are its loads, in N or m.")
+    ] = False,
+    model_step: Annotated[
+        int | None, typer.Option(min=1, help="Only this load step of the mesh, counted from 1.")
+    ] = None,
+    displacement: Annotated[str | None, typer.Option(help="Name of the displacement in the mesh.")] = None,
     pair: Annotated[
         list[str] | None,
         typer.Option(
@@ -64,6 +73,10 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     by_displacement: Annotated[
         bool,
         typer.Option("--by-displacement", help="Fit directions that nothing else determines to the displacement."),
+    ] = False,
+    remove_rigid_motion: Annotated[
+        bool,
+        typer.Option("--remove-rigid-motion", help="Remove the motion of the specimen as a whole from the difference."),
     ] = False,
     reference_image: Annotated[
         Path | None,
@@ -96,33 +109,52 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         reason = "--shape compares the shape alone; leave out either --shape or what belongs to the displacement"
         refuse_unused(context, _OF_THE_DISPLACEMENT, reason)
     page = output_file(output / "comparison.html", overwrite)
+    # what the options alone show to be wrong is told before anything is read
+    from fringedic.models.model import UNITS, require_readable
+
+    if unit not in UNITS:
+        raise ConfigurationError(f"--unit {unit}: give one of {', '.join(UNITS)}")
+    scale = _MILLI if by == "position" else 1.0
+    loads = None if load_table is None else _load_table(load_table, scale)
+    pairs, holes = (_pairs(name, texts or [], UNITS[unit]) for name, texts in (("pair", pair), ("hole", hole)))
+    edges = _edges(edge or [], UNITS[unit])
+    only = _only(steps) if shape else None
+    require_readable(model)
     from fringedic.datasets import open_experiment
     from fringedic.export import export_dataset, write_mesh
     from fringedic.frames.files import read_grey
     from fringedic.models import compare_model as compare
     from fringedic.models import compare_shape, on_mesh, read_model
-    from fringedic.models.model import UNITS
     from fringedic.models.observed import Features
-    from fringedic.models.sentences import agreement_sentences, placement_sentences, shape_sentences
+    from fringedic.models.sentences import (
+        agreement_sentences,
+        left_out_sentences,
+        placement_sentences,
+        shape_sentences,
+    )
     from fringedic.report.model_comparison import write_model_comparison, write_shape_comparison
 
-    scale = _MILLI if by == "position" else 1.0
     of_mesh = None if load is None else [scale * each for each in load]
     if shape and of_mesh is None:
         of_mesh = [1.0]  # a displacement of the mesh is not used, whatever its load
-    if unit not in UNITS:
-        raise ConfigurationError(f"--unit {unit}: give one of {', '.join(UNITS)}")
     features = Features(
-        pairs=_pairs("pair", pair or [], UNITS[unit]),
+        pairs=pairs,
+        holes=holes,
+        edges=edges,
         pair_sigma=None if pair_sigma_mm is None else _MILLI * pair_sigma_mm,
-        holes=_pairs("hole", hole or [], UNITS[unit]),
-        edges=_edges(edge or [], UNITS[unit]),
-        start="principal axes" if principal_axes else "given",
+        principal_axes=principal_axes,
     )._asdict()
-    only = _only(steps) if shape else None
-    loads = None if load_table is None else _load_table(load_table, scale)
-    mesh = read_model(model, unit=unit, displacement=field, strain=strain, results=results or [], loads=of_mesh)
-    with open_experiment(source) as experiment:
+    mesh = read_model(
+        model,
+        unit=unit,
+        displacement=displacement,
+        strain=strain,
+        results=results or [],
+        loads=of_mesh,
+        times_are_loads=times_are_loads,
+        model_step=model_step,
+    )
+    with open_experiment(source, sensor=sensor) as experiment:
         if shape:
             comparison = compare_shape(experiment, mesh, step=only, **features)
         else:
@@ -131,14 +163,15 @@ def compare_model(  # noqa: PLR0913 (options of a command)
                 mesh,
                 by_displacement=by_displacement,
                 reference_image=None if reference_image is None else read_grey(reference_image),
+                remove_rigid_motion=remove_rigid_motion,
                 steps=steps or None,
-                load=by,
-                loads=loads,
+                by=by,
+                load_table=loads,
                 **features,
             )
     output.mkdir(parents=True, exist_ok=True)
     sentences = shape_sentences(comparison) if shape else agreement_sentences(comparison.isel(step=-1))
-    say(f"step {int(comparison.step[-1])}:", *sentences)
+    say(*left_out_sentences(comparison), f"step {int(comparison.step[-1])}:", *sentences)
     say(*placement_sentences(comparison))
     write = write_shape_comparison if shape else write_model_comparison
     say(f"page: {write(comparison, page, overwrite=overwrite)}")
@@ -158,13 +191,13 @@ def compare(
     overwrite: Overwrite = False,
 ) -> None:
     """Compare two experiments, one recording processed with two settings, or a group of specimens; write a page."""
-    from fringedic.campaign.recordings import distinguishing_names
     from fringedic.campaign.settings import FILE as CAMPAIGN
     from fringedic.datasets import open_experiment
     from fringedic.evaluation import compare_experiments, compare_specimens
     from fringedic.evaluation.sentences import comparison_sentences, specimen_sentences
     from fringedic.report.specimens import write_specimens
     from fringedic.report.two_experiments import write_comparison
+    from fringedic.wording.path_names import recording_names
 
     if len(sources) < 2:
         raise ConfigurationError("compare takes two or more recordings or datasets; name another one")
@@ -183,8 +216,8 @@ def compare(
             say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
             return
         say(*specimen_sentences(compare_specimens(found)))
-        names = distinguishing_names([str(each.absolute()) for each in sources])
-        specimens = {names[str(path.absolute())]: each for path, each in zip(sources, found, strict=True)}
+        names = recording_names(sources)
+        specimens = {names[str(path)]: each for path, each in zip(sources, found, strict=True)}
         say(f"page: {write_specimens(specimens, page, overwrite=overwrite)}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +21,7 @@ from fringedic.command.app import (
     Place,
     Places,
     ReferenceStep,
+    Sensor,
     Settings,
     Source,
     Steps,
@@ -34,17 +36,16 @@ from fringedic.command.app import (
     output_file,
     parameter_values,
     say,
-    title_of,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ConfigurationError, ExportError
+from fringedic.errors import ExportError, FringedicError, StepFailedError
 
 
 @app.command(
     rich_help_panel=RESULTS,
     epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc",
 )
-def process(
+def process(  # noqa: PLR0913 (options of a command)
     bags: Places,
     settings: Settings = None,
     steps: Steps = None,
@@ -53,6 +54,7 @@ def process(
     experiment: Annotated[
         str | None, typer.Option(help="Name of the experiment, if the recording contains several.")
     ] = None,
+    sensor: Sensor = None,
     output: Annotated[
         Path | None,
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
@@ -62,11 +64,12 @@ def process(
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.datasets import open_experiment, process_bag
     from fringedic.datasets.processing import PROCESSED_TOPICS
-    from fringedic.datasets.sentences import confirmation_sentence, references_sentence
+    from fringedic.datasets.sentences import confirmation_sentence, missing_settings_sentence, references_sentence
+    from fringedic.recording.frames import records
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
     from fringedic.rig.model import RigModel
-    from fringedic.steps.recorded_rig import require_calibration
+    from fringedic.steps.recorded_rig import missing_settings, require_calibration
 
     targets = _targets(bags, output)
     values = parameter_values(settings)
@@ -77,9 +80,11 @@ def process(
             measure(place, bag)
 
     def measure(place: str, bag: Path) -> None:
+        reader = BagReader(bag, sensor=sensor)
         if model is None:
-            require_calibration(BagReader(bag))
-        say(*losses(bag))
+            require_calibration(reader)
+        missing = missing_settings(reader, records(reader))
+        say(*losses(bag), *filter(None, [missing_settings_sentence(missing)]))
         errors = []
         with LiveProgress(console) as progress:
             progress.stage(f"processing {place}")
@@ -96,12 +101,15 @@ def process(
                 reference=reference,
                 calibration=model,
                 experiment=experiment,
+                sensor=sensor,
                 overwrite=overwrite,
                 progress=tell,
             )
         with open_experiment(written) as dataset:
             sentences = [references_sentence(dataset), confirmation_sentence(dataset)]
         say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *filter(None, sentences))
+        if "" not in errors:
+            raise StepFailedError(f"no step was measured, the reasons are above and in {written}")
         say(next_reading(written))
 
     if output is not None and len(bags) > 1:
@@ -110,38 +118,28 @@ def process(
 
 
 def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
-    """Return the dataset of each recording, None for the one beside it.
-
-    Raises
-    ------
-    ConfigurationError
-        Two recordings have the same name, so that one dataset would replace the other.
-    """
+    """Return the dataset of each recording, None for the one beside it."""
     from fringedic.recording.remote import is_remote
+    from fringedic.wording.path_names import recording_names
 
     if output is not None and len(places) == 1:
         return {places[0]: output}
-    targets: dict[str, Path | None] = {}
-    for place in places:
-        beside = output is None and not is_remote(place)
-        target = None if beside else (output or Path()) / f"{title_of(Path(place))}.nc"
-        if target is not None and target in targets.values():
-            raise ConfigurationError(
-                f"{target}: would be the dataset of two recordings; process recordings of the same name one by one, "
-                "each with its own --output"
-            )
-        targets[place] = target
-    return targets
+    return {
+        place: None if output is None and not is_remote(place) else (output or Path()) / f"{name}.nc"
+        for place, name in recording_names(places).items()
+    }
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
-def info(bag: Place) -> None:
+def info(bag: Place, sensor: Sensor = None) -> None:
     """List the content of a recording and whether it is complete."""
-    from fringedic.recording.clocks import recorded_clocks
+    from fringedic.frames.sensor import choice_of_sensors
     from fringedic.recording.programme_end import programme_end
+    from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.recording.sentences import clock_sentences, content_sentences, next_command, programme_sentences
+    from fringedic.signals.clocks import recorded_clocks
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC)
@@ -155,9 +153,22 @@ def info(bag: Place) -> None:
         lost = [str(summary.missing.get(name, ""))] if summary.missing else []
         table.add_row(name, type_name.replace("/msg/", "/"), str(summary.counts[name]), *lost)
     console.print(table)
-    clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
-    end = None if is_remote(bag) else programme_end(bag)
-    say(*clock_sentences(clocks), *content_sentences(summary), *programme_sentences(end), next_command(summary))
+    if is_remote(bag):  # clocks, programme and sensors are in the chunks, which are not fetched
+        say(*content_sentences(summary), next_command(summary, summary.types))
+        return
+    sensors: dict[str, str] = {}
+    with suppress(FringedicError):  # the records of a damaged recording may be unreadable
+        sensors = BagReader(bag).sensors
+    if sensor is None and len(sensors) > 1:
+        say(choice_of_sensors(bag, sensors), *content_sentences(summary))
+        return
+    clocks, end = recorded_clocks(bag, sensor), programme_end(bag, sensor)
+    say(
+        *clock_sentences(clocks),
+        *content_sentences(summary),
+        *programme_sentences(end),
+        next_command(summary, summary.types),
+    )
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic verify recordings/plate-7/bag")
@@ -194,6 +205,7 @@ def export(
         typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
     ] = None,
     steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
+    sensor: Sensor = None,
     output: Output = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -205,7 +217,7 @@ def export(
     folder = output or beside(source, "_exported")
     wanted = formats or ["netcdf", "png"]
     problems = 0
-    with open_experiment(source) as dataset:
+    with open_experiment(source, sensor=sensor) as dataset:
         for done in export_dataset(dataset, folder, wanted, steps=steps, overwrite=overwrite):
             if done.path:
                 say(f"{done.format}: {done.path}")
@@ -237,6 +249,7 @@ def report(
     region: Annotated[
         list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values are listed.")
     ] = None,
+    sensor: Sensor = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it as PDF, too; needs chromium.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -250,6 +263,7 @@ def report(
     written = write_report(
         source,
         output,
+        sensor=sensor,
         static_steps=static or None,
         gauges=named_gauges(extensometer) or None,
         regions=named_regions(region),

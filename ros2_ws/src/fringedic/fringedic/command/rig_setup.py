@@ -30,21 +30,31 @@ from fringedic.errors import ConfigurationError
 class CameraKind(StrEnum):
     """The cameras that a new rig file can name."""
 
+    VIRTUAL = "virtual"
+    FILES = "files"
+    VIDEO = "video"
     ARAVIS = "aravis"
     V4L2 = "v4l2"
+    TOPIC = "topic"
 
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic init bench.yaml")
 def init(  # noqa: PLR0913 (options of a command)
     camera: Annotated[
         CameraKind,
-        typer.Option(prompt="1 of 7  Camera: GigE or USB3 Vision, or USB video", help="Kind."),
+        typer.Option(
+            prompt="1 of 7  Camera: aravis (GigE or USB3 Vision), v4l2 (USB), topic (ROS), files, video or virtual",
+            show_choices=False,
+            help="Kind.",
+        ),
     ],
     image_size: Annotated[str, typer.Option(prompt="2 of 7  Image size in px, such as 1280x960", help="In px.")],
     rig: Annotated[Path, typer.Argument(metavar="RIG", help="Rig file to write.")] = Path("bench.yaml"),
     camera_address: Annotated[
         str,
-        typer.Option(prompt="3 of 7  Its address or device, Enter for the only one", help="Of the camera."),
+        typer.Option(
+            prompt="3 of 7  Its address, device, topic or files; Enter for the only one", help="Of the camera."
+        ),
     ] = "",
     display: Annotated[
         int, typer.Option(prompt="4 of 7  Number of the projector among the displays, from 0", help="Of the projector.")
@@ -64,7 +74,7 @@ def init(  # noqa: PLR0913 (options of a command)
 
     answers = Answers(camera.value, camera_address, image_size, display, projector_size, grid_pitch_mm, operator)
     write_rig_file(output_file(rig, overwrite), answers)
-    say(f"rig file: {rig}; next: fringedic live {rig}")
+    say(f"rig file: {rig}; next: fringedic live {rig}, or first fringedic plan {rig} with the data of your components")
 
 
 @app.command(
@@ -102,7 +112,9 @@ def noise(
     images: Annotated[
         list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; give at least three.")
     ] = None,
-    steps: Annotated[int, typer.Option(help="With a rig: number of steps at rest, with the reference.")] = 10,
+    steps: Annotated[
+        int, typer.Option(min=3, max=1000, help="With a rig: number of steps at rest, with the reference.")
+    ] = 10,
     window: Annotated[
         int, typer.Option(min=8, max=256, help="With --images: width of the correlation window [px].")
     ] = 32,
@@ -163,12 +175,12 @@ def region(
             raise ConfigurationError(f"--output {output}: would replace {source}; choose another --output")
         output_file(file, overwrite)
     is_rig = source.suffix in ("", ".yaml", ".yml")  # installed rig files are named without suffix
-    drawn = draw_region(rig_procedure("frame")(rig_path_of(source)) if is_rig else read_grey(source))
+    drawn = draw_region(rig_procedure("frame")(rig_path_of(source)).image if is_rig else read_grey(source))
     if drawn is None:
         say("no region was drawn")
         raise typer.Exit(1)
     picture, corners = drawn.save(output)
-    share = 100 * drawn.mask().mean()
+    share = 100 * drawn.share()
     say(
         f"mask: {picture}, {share:.0f} % of the image",
         f"polygons: {corners}; to use them, write their path into the rig file as region_file",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fringedic.command.app import RESULTS, OptionalBag, app, say
+from fringedic.command.app import RESULTS, OptionalBag, Sensor, app, refuse_unused, say
 from fringedic.command.plugins import rig_procedure
 from fringedic.errors import ConfigurationError
 
@@ -28,6 +28,7 @@ Key = Annotated[Path | None, typer.Option(help="Private key of the certificate (
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic view recordings/plate-7/bag")
 def view(
+    context: typer.Context,
     bag: OptionalBag = None,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Serve Foxglove instead; without BAG the topics of running nodes.")
@@ -35,6 +36,7 @@ def view(
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port; 8090, or 8765 for Foxglove, by default.")
     ] = None,
+    sensor: Sensor = None,
     address: Host = LOCAL,
     certificate: Certificate = None,
     key: Key = None,
@@ -43,20 +45,21 @@ def view(
     if foxglove:
         if (address, certificate, key) != (LOCAL, None, None):
             raise ConfigurationError(f"--foxglove serves {LOCAL} only, because its protocol has no token")
+        refuse_unused(context, {"sensor"}, "--foxglove shows the topics of all sensors; leave it out")
         view_with_foxglove(bag, port or FOXGLOVE_PORT)
     elif bag is None:
         raise ConfigurationError("no recording: give its folder, or --foxglove for the topics of running nodes")
     else:
-        view_page(bag, page_address(address, port or PORT, certificate, key))
+        view_page(bag, page_address(address, port or PORT, certificate, key), sensor)
 
 
-def view_page(bag: Path, place: Address) -> None:
+def view_page(bag: Path, place: Address, sensor: str | None = None) -> None:
     """Serve the page of a recording until Ctrl-C."""
     from fringedic.report.page_server.recorded import RecordedRig
     from fringedic.report.page_server.server import PageServer
 
     with suppress(KeyboardInterrupt):
-        recorded = RecordedRig(bag)
+        recorded = RecordedRig(bag, sensor)
         ended = ended_by_signals()
         server = PageServer(recorded, place)
         try:

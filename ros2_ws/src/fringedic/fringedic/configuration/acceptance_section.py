@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
-from fringedic.calibration.acceptance import AcceptanceError, Artefacts
 from fringedic.configuration.yaml_section import Section
+
+if TYPE_CHECKING:
+    from fringedic.calibration.acceptance import AcceptanceError, Artefacts
 
 _MILLI, _MICRO = 1e-3, 1e-6
 
@@ -26,12 +30,16 @@ class AcceptanceSection(Section):
     @property
     def artefacts(self) -> Artefacts:
         """Sizes [m]."""
+        from fringedic.calibration.acceptance import Artefacts  # not at the top: a rig file is read without computing
+
         x, y, z = (each * _MILLI for each in self.volume_mm)
         return Artefacts(self.ball_diameter_mm * _MILLI, self.bar_spacing_mm * _MILLI, (x, y, z))
 
     @property
     def limits(self) -> dict[AcceptanceError, float]:
         """Maximum permissible errors that are given [m]."""
+        from fringedic.calibration.acceptance import AcceptanceError
+
         given = {
             AcceptanceError.FORM: self.probing_form_um,
             AcceptanceError.SIZE: self.probing_size_um,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
+from fringedic.configuration.rig_file import RigFile, fitting_calibration
 from fringedic.errors import ConfigurationError
 from fringedic.rig.model import RigModel
 
@@ -17,7 +17,7 @@ def calibration_to_check(rig: RigFile, rig_path: Path) -> RigModel:
     ConfigurationError
         The rig has no projector, or no calibration that fits it.
     """
-    model = load_fitting_calibration(rig, rig_path)
+    model = fitting_calibration(rig, rig_path)
     if model is None or rig.projector is None:
         raise ConfigurationError(
             f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}, so there is nothing to check"

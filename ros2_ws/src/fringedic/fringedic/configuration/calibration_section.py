@@ -5,19 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, ValidationInfo
 
-from fringedic.calibration.history import recorded_checks
-from fringedic.calibration.result import RigCalibration
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SensorName
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
 from fringedic.rig.model import RigModel
-from fringedic.settings.base import MILLI
+from fringedic.settings.base import FILE, MILLI
 
 LATEST_CHECKS = 5  # of the calibration in the metadata of a recording
+
+
+def _or_the_file(source: str, info: ValidationInfo) -> str:
+    return source or (info.context or {}).get(FILE, "")
 
 
 class CalibratedCamera(Section):
@@ -72,22 +75,26 @@ class CovarianceSection(Section):
 class CalibrationSection(Section):
     """Model of camera and projector, laid out as in the file of a calibration."""
 
+    sensor: SensorName | None = Field(None, description="Name of the sensor; by default that of the rig file.")
     identifier: str = Field("rig file", description="Name of this calibration in results.")
     model: Literal["six_parameter", "general", "paper"] = Field(
         "general", description="six_parameter: no angles and no distortion; paper: its name in older files."
     )
-    source: str = Field("", description="Origin of the calibration; by default the rig file.")
+    source: Annotated[str, AfterValidator(_or_the_file)] = Field(
+        "", validate_default=True, description="Origin of the calibration; by default the rig file."
+    )
     camera: CalibratedCamera = Field(description="Pin-hole model of the camera.")
     projector: CalibratedProjector = Field(description="Pin-hole model of the projector.")
     covariance_si: CovarianceSection = Field(CovarianceSection(), description="Covariance of the parameters.")
 
-    def rig_model(self, rig_file: str) -> RigModel:
-        """Return the model in SI units."""
+    def rig_model(self, sensor: str) -> RigModel:
+        """Return the model in SI units, that of a sensor unless the section names another one."""
         camera, projector = self.camera, self.projector
         return RigModel(
+            sensor=self.sensor or sensor,
             identifier=self.identifier,
             model=self.model,
-            source=self.source or rig_file,
+            source=self.source,
             camera_width=camera.width_px,
             camera_height=camera.height_px,
             camera_first_column=camera.first_column_px,
@@ -118,6 +125,8 @@ class CalibrationSection(Section):
 
 def calibration_metadata(file: Path) -> CalibrationMetadata:
     """Return the metadata of a calibration from the files beside it; empty where there are none of its own."""
+    from fringedic.calibration.result import RigCalibration  # not at the top: a rig file is read without computing
+
     try:
         found = RigCalibration.load(file)
     except CalibrationError:
@@ -134,6 +143,8 @@ def calibration_metadata(file: Path) -> CalibrationMetadata:
 
 
 def _checks(folder: Path) -> list[CheckMetadata]:
+    from fringedic.calibration.history import recorded_checks
+
     try:
         return recorded_checks(folder)
     except CalibrationError:

@@ -91,7 +91,7 @@ def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any
     >>> file = Path(tempfile.mkdtemp(), "rig.yaml")
     >>> _ = file.write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
     >>> load_changed_rig_file(file, {"sequence.shifts": 8}).sequence.shifts
-    8
+    [8]
     """
     load_rig_file(path)
     content = load_yaml(Path(path).read_text("utf-8"))

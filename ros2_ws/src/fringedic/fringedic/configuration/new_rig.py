@@ -17,7 +17,20 @@ _HEAD = """\
 #   fringedic live {name}        focus, exposure and speckle size
 #   fringedic timing {name}      exposure and settle time for this projector
 #   fringedic calibrate {name}   lens and rig, with a GO or NO-GO
+#   fringedic run {name}         the programme
+# fringedic plan {name} predicts uncertainties: replace the values of plan by those of the data sheets first.
 """
+_ADDRESS = {"aravis": "camera", "v4l2": "camera", "files": "files", "video": "files", "topic": "topic"}  # its key
+_PLAN = {
+    "camera_pixel_um": 3.45,
+    "focal_length_mm": 25.0,
+    "camera_distance_mm": 450.0,
+    "throw_ratio": 1.4,
+    "projector_distance_mm": 450.0,
+    "angle_degree": 25.0,
+    "speckle_um": 250.0,
+}
+_NOT_IN_EXPERIMENTS = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 class Answers(NamedTuple):
@@ -44,13 +57,22 @@ def write_rig_file(file: Path, answers: Answers) -> None:
     """
     width, height = _size("image size", answers.image_size)
     columns, rows = _size("projector size", answers.projector_size)
+    virtual = answers.camera == "virtual"
+    size = {} if virtual else {"width": width, "height": height}
+    address = {_ADDRESS[answers.camera]: answers.address} if answers.address and not virtual else {}
+    display = {"source": "display", "display": answers.display, "width": columns, "height": rows}
     content: dict[str, Any] = {
-        "camera": {"source": answers.camera, "camera": answers.address, "width": width, "height": height},
-        "projector": {"source": "display", "display": answers.display, "width": columns, "height": rows},
+        "camera": {"source": answers.camera, **address, **size},
+        "projector": {"source": "virtual"} if virtual else display,
+        **({"virtual_rig": {"preset": "plate"}, "calibration": "virtual_rig"} if virtual else {}),
         "sequence": {"shifts": 4},
+        "plan": dict(_PLAN),
         "reference_plane": {"grid_pitch_mm": answers.grid_pitch_mm, "angles_degree": [0, -15, -10, -5, 5, 10, 15]},
         "specimen": {"name": file.stem, "operator": answers.operator},
-        "programme": {"experiment": file.stem, "steps": [{}, {}, {}]},
+        "programme": {
+            "experiment": _NOT_IN_EXPERIMENTS.sub("-", file.stem).strip("-") or "experiment",
+            "steps": [{}, {}, {}],
+        },
     }
     content["reference_plane"]["held_out"] = [6]
     validate(RigFile, content, str(file))

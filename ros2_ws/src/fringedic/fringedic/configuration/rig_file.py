@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -14,33 +16,41 @@ from fringedic.configuration.calibration_section import CalibrationSection, cali
 from fringedic.configuration.plan_section import PlanSection
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
-    FINEST_DEFAULT_PITCH_PX,
     VIRTUAL_RIG,
     ExtensometerSection,
-    LoadFrameSection,
     NodesSection,
-    ProjectorSection,
     RecordingSection,
     ReferencePlaneSection,
-    SequenceSection,
 )
-from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.frames.sensor import SENSOR, SensorName
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.patterns.sequences import step_sequence
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
-from fringedic.settings.base import MILLI
-from fringedic.settings.camera import Camera, CameraSettings
+from fringedic.settings.base import MILLI, FilePath
+from fringedic.settings.camera import Camera
+from fringedic.settings.devices import ImageDeviceSettings
+from fringedic.settings.experiment import SequenceSettings
+from fringedic.settings.load_frame import LoadFrame, MachineSettings
+from fringedic.settings.projector import Projector
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
 
+
+def _kind_of_calibration(value: Any) -> str:
+    if isinstance(value, (Mapping, CalibrationSection)):
+        return "a section"
+    return "a name" if value == VIRTUAL_RIG else "a file"
+
+
 Calibration = Annotated[
-    Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],
-    Discriminator(lambda value: "values" if isinstance(value, (Mapping, CalibrationSection)) else "file"),
+    Annotated[Literal["virtual_rig"], Tag("a name")]
+    | Annotated[FilePath, Tag("a file")]
+    | Annotated[CalibrationSection, Tag("a section")],
+    Discriminator(_kind_of_calibration),
 ]
 
 
@@ -59,9 +69,14 @@ class RigFile(Section):
     """The content of a rig file."""
 
     namespace: str = Field("rig", pattern=NAMESPACE, description="ROS namespace of the rig.")
+    sensor: SensorName = Field(
+        SENSOR,
+        description="Name of the camera with its projector, for a rig with several of them. Topics are in a namespace "
+        "of this name, and calibrations, datasets and file names contain it; by default there is no such namespace.",
+    )
     camera: Camera = Field(description="The camera.")
-    projector: ProjectorSection | None = Field(None, description="The projector; without one only white frames.")
-    sequence: SequenceSection = Field(SequenceSection(), description="The fringe patterns of one step.")
+    projector: Projector | None = Field(None, description="The projector; without one only white frames.")
+    sequence: SequenceSettings = Field(SequenceSettings(), description="The fringe patterns of one step.")
     calibration: Calibration | None = Field(
         None,
         description="Parameters of the calibration, the path of a calibration file (relative to this file), or "
@@ -70,13 +85,13 @@ class RigFile(Section):
     reference_plane: ReferencePlaneSection = Field(
         ReferencePlaneSection(), description="The plane that calibrates the rig."
     )
-    load_frame: LoadFrameSection | None = Field(None, description="The testing machine.")
+    load_frame: LoadFrame | None = Field(None, description="The testing machine.")
     extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
     nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
-    noise_floor_file: str | None = Field(
+    noise_floor_file: FilePath | None = Field(
         None, description="Noise floor from `fringedic noise`, relative to this file; it is part of every recording."
     )
-    region_file: str | None = Field(
+    region_file: FilePath | None = Field(
         None,
         description="Polygons from `fringedic region`, relative to this file: where the frames are checked and the "
         "displacement is measured.",
@@ -89,7 +104,7 @@ class RigFile(Section):
     )
     plan: PlanSection | None = Field(None, description="Components of a rig to be built, for `fringedic plan`.")
     frame_prefix: str | None = Field(
-        None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default its namespace."
+        None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default that of its topics."
     )
     recording: RecordingSection = Field(RecordingSection(), description="What is recorded, and where.")
     specimen: SpecimenMetadata = Field(SpecimenMetadata(), description="Metadata of the specimen.")
@@ -127,6 +142,11 @@ class RigFile(Section):
             )
         return self
 
+    @property
+    def topic_namespace(self) -> str:
+        """Namespace of the topics: that of the rig, followed by the name of its sensor if it was given one."""
+        return "/".join(filter(None, (self.namespace, "" if self.sensor == SENSOR else self.sensor)))
+
     def virtual_configuration(self) -> VirtualRigConfiguration:
         """Return the virtual rig of this file, which must have one."""
         return VirtualRigConfiguration.from_dict(self.virtual_rig or {})
@@ -154,56 +174,60 @@ class RigFile(Section):
     def pitches(self) -> list[float]:
         """Return the fringe pitches, coarse to fine [projector pixel]; empty without a projector."""
         size = self.projector_size()
-        if size is None:
-            return []
-        if self.sequence.pitches_px is not None:
-            return list(self.sequence.pitches_px)
-        return [size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX]
+        return [] if size is None else self.sequence.pitches(size[0])
 
     def patterns(self) -> list[ProjectedPattern]:
-        """Return the patterns of the frames of one step, in their order."""
-        size, sequence = self.projector_size(), self.sequence
-        if size is None:
-            return []
-        pitches = self.pitches()
-        shown = step_sequence(
-            *size,
-            pitches,
-            [sequence.shifts] * len(pitches),
-            sequence.orientation,
-            sequence.fringe_order,
-            grey_frame=sequence.grey_frame,
-        )
-        return [pattern for pattern in shown.patterns for _ in sequence.exposures_ms or [0]]
+        """Return the patterns of the frames of one step, in their order; empty without a projector."""
+        size = self.projector_size()
+        return [] if size is None else list(self.sequence.patterns(*size))
 
     @property
     def has_load_frame_node(self) -> bool:
         """Whether a load frame node of this rig moves the machine."""
-        return self.load_frame is not None and self.load_frame.source != "external"
+        return isinstance(self.load_frame, MachineSettings)
 
     def setup(self) -> RigSetup:
         """Return the parts of the rig that its calibration has to fit."""
         absolute = self.nodes.phase.relative_phase == "refuse"
         return RigSetup(
-            self.camera_size(), self.projector_size(), self.patterns() if absolute else (), self.camera_first()
+            self.camera_size(),
+            self.projector_size(),
+            self.patterns() if absolute else (),
+            self.camera_first(),
+            self.sensor,
         )
 
-    def calibration_file(self, path: str | os.PathLike[str]) -> Path | None:
-        """Return the file of the calibration that this file, at `path`, names; None when it names no file."""
-        if not isinstance(self.calibration, str) or self.calibration == VIRTUAL_RIG:
-            return None
-        return Path(path).parent / self.calibration
+    @property
+    def calibration_file(self) -> Path | None:
+        """File of the calibration; None when this file names none."""
+        names_a_file = isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG
+        return Path(str(self.calibration)) if names_a_file else None
 
-    def metadata(self, path: str | os.PathLike[str]) -> Metadata:
-        """Return the metadata of specimen, hardware, calibration and noise floor; `path` is that of this file."""
-        file = self.calibration_file(path)
+    @cached_property
+    def rig_model(self) -> RigModel | None:
+        """Calibration that this file contains or names, whose file is read once; None without one."""
+        if self.calibration is None:
+            return None
+        if isinstance(self.calibration, CalibrationSection):
+            return self.calibration.rig_model(self.sensor)
+        if (file := self.calibration_file) is None:
+            from fringedic.configuration.virtual_calibration import calibration_of  # loads the virtual rig
+
+            return replace(calibration_of(self.virtual_configuration()), sensor=self.sensor)
+        if not file.is_file():
+            raise ConfigurationError(f"calibration: there is no file {file}")
+        return RigModel.from_yaml(file)
+
+    def metadata(self) -> Metadata:
+        """Return the metadata of specimen, hardware, calibration and noise floor."""
+        file = self.calibration_file
         known = CalibrationMetadata() if file is None else calibration_metadata(file)
         noise = NoiseFloorMetadata()
         if self.noise_floor_file is not None:
-            noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)
+            noise = NoiseFloorMetadata.load(Path(self.noise_floor_file))
         return Metadata(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
 
-    def _size(self, section: CameraSettings | ProjectorSection, name: str) -> tuple[int, int] | None:
+    def _size(self, section: ImageDeviceSettings, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":
             part = getattr(self.virtual_configuration(), name)
             size = (part.columns, part.rows)
@@ -214,9 +238,7 @@ class RigFile(Section):
                     "remove width and height to use those"
                 )
             return size
-        if not section.width or not section.height:
-            return None
-        return section.width, section.height
+        return section.size
 
 
 @check_arguments(ConfigurationError, path=file_path)
@@ -248,7 +270,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
         rig.projector_size()
         if rig.virtual_rig is not None:
             rig.virtual_configuration()
-        load_calibration(rig, path)
+        rig.rig_model  # noqa: B018 (its file is read at the door)
     except FringedicError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     return rig
@@ -279,48 +301,21 @@ def load_programme(path: str | os.PathLike[str]) -> Programme:
     return load_sections(Path(path), Programme)
 
 
-def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
-    """Return the calibration that a rig file contains or names, None when it has none.
-
-    Parameters
-    ----------
-    rig
-        The content of the rig file.
-    path
-        The rig file; the path of a calibration file is relative to it.
-
-    Raises
-    ------
-    ConfigurationError
-        The calibration file cannot be read.
-    """
-    if rig.calibration is None:
-        return None
-    if isinstance(rig.calibration, CalibrationSection):
-        return rig.calibration.rig_model(str(path))
-    if rig.calibration == VIRTUAL_RIG:
-        return calibration_of(rig.virtual_configuration())
-    file = Path(path).parent / rig.calibration
-    if not file.is_file():
-        raise ConfigurationError(f"calibration: there is no file {file}")
-    return RigModel.from_yaml(file)
-
-
-def load_fitting_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
+def fitting_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
     """Return the calibration that a rig file contains or names, after a check that it is that of this rig.
 
     Parameters
     ----------
     rig, path
-        As of `load_calibration`.
+        The content of the rig file, and its path for messages.
 
     Raises
     ------
     ConfigurationError
-        The calibration file cannot be read, belongs to another rig, or has lengths that contradict each other; or the
+        The calibration belongs to another rig, or has lengths that contradict each other; or the
         coarsest fringes of the sequence repeat in the camera's view.
     """
-    calibration = load_calibration(rig, path)
+    calibration = rig.rig_model
     if calibration is not None:
         try:
             check_calibration(calibration, rig.setup())

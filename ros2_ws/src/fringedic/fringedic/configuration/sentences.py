@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from fringedic.configuration.conditions import MetCondition, Quantity
+from fringedic.configuration.conditions import MetCondition
 from fringedic.configuration.forecast import Forecast
 from fringedic.configuration.programme import BlockEnd
 from fringedic.wording.numbers import counted, grouped, number_text
@@ -33,14 +33,11 @@ def _size(size: float) -> str:
     return f"{size / 1e6:.0f} MB" if size < 1e9 else f"{size / 1e9:.1f} GB"
 
 
-_UNITS = {Quantity.FORCE: " N", Quantity.STRAIN: " %", Quantity.VALID_FRACTION: ""}
-
-
 def condition_sentence(condition: MetCondition) -> str:
     """Return which condition a reading met."""
     if math.isnan(condition.value):
         return f"the {condition.quantity} is not known"
-    unit = _UNITS[condition.quantity]
+    unit = condition.unit and f" {condition.unit}"
     reached = "reached" if condition.rising else "fell to"
     return f"the {condition.quantity} of {number_text(condition.value)}{unit} {reached} {condition.limit:g}{unit}"
 

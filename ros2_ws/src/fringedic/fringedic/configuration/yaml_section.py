@@ -11,7 +11,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from fringedic.errors import ConfigurationError
-from fringedic.settings.base import FOLDER, Settings
+from fringedic.settings.base import FILE, FOLDER, Settings
 from fringedic.settings.devices import UNKNOWN_KEY
 from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
@@ -19,7 +19,7 @@ from fringedic.wording.yaml_text import load_yaml
 Model = TypeVar("Model", bound=BaseModel)
 # Names of the members of unions in paths of pydantic, which are not keys of the file
 _LONGEST_LIST = 400  # characters of a list of problems; the rest is counted
-_MEMBERS = ("values", "file", "a step", "a ramp", "a cycle")
+_MEMBERS = ("a name", "a file", "a section", "a step", "a ramp", "a cycle")
 
 
 class Section(Settings):
@@ -78,7 +78,7 @@ def validate(
         A key is unknown, missing, replaced or out of its range.
     """
     try:
-        return model.model_validate(content, context={FOLDER: folder})
+        return model.model_validate(content, context={FILE: source, FOLDER: folder})
     except ValidationError as error:
         problems = [_problem(model, each, replaced or {}) for each in error.errors()]
         raise ConfigurationError(f"{source}: {_listed(problems)}") from error

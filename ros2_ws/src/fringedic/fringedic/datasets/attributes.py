@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import json
-import re
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from pydantic import ValidationError
 
-from fringedic.datasets.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, MISSING_PARTS, STEP_NUMBERS, TIME_ZERO
+from fringedic.datasets.quantities import (
+    MAP_DIMENSIONS,
+    METADATA_ATTRIBUTE,
+    MISSING_PARTS,
+    MISSING_SETTINGS,
+    STEP_NUMBERS,
+    TIME_ZERO,
+)
 from fringedic.errors import DatasetError
+from fringedic.frames.sensor import SENSOR
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
+from fringedic.wording.path_names import path_name
 
-JSON_ATTRIBUTES = {"calibration": dict, "parameters": list, "rig": dict, METADATA_ATTRIBUTE: dict, MISSING_PARTS: list}
+JSON_ATTRIBUTES = {
+    "calibration": dict,
+    "parameters": list,
+    "rig": dict,
+    METADATA_ATTRIBUTE: dict,
+    MISSING_PARTS: list,
+    MISSING_SETTINGS: list,
+}
 """The attributes that contain JSON, and the kind of its content."""
 
 
@@ -68,14 +83,20 @@ def experiment_name(dataset: xr.Dataset) -> str:
 
 
 def file_stem(dataset: xr.Dataset) -> str:
-    """Return the name of the experiment as the beginning of file names.
+    """Return the name of the experiment, and of a sensor that has one, as the beginning of file names.
 
     Examples
     --------
-    >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7"}))
-    '.._plate_7'
+    >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7", "sensor": "left"}))
+    'plate-7.left'
     """
-    return re.sub(r"[^\w.-]", "_", experiment_name(dataset)) or "experiment"
+    stem, sensor = path_name(experiment_name(dataset), "experiment"), sensor_of(dataset)
+    return stem if sensor == SENSOR else f"{stem}.{sensor}"
+
+
+def sensor_of(dataset: xr.Dataset) -> str:
+    """Return the name of the sensor whose frames were measured."""
+    return str(dataset.attrs.get("sensor", SENSOR))
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.attributes import JSON_ATTRIBUTES
+from fringedic.datasets.attributes import JSON_ATTRIBUTES, sensor_of
 from fringedic.datasets.earlier_versions import translate
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.datasets.quantities import (
@@ -25,6 +26,7 @@ from fringedic.datasets.quantities import (
 )
 from fringedic.datasets.stores import SUFFIXES, dataset_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError
+from fringedic.frames.sensor import SENSOR, choice_of_sensors
 from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.signals import FORCE, POSITION
@@ -47,12 +49,14 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
     **{name: (("step",), _TEXT) for layout in _LAYOUTS for name in layout.texts},
     **{name: (MAP_DIMENSIONS, _NUMBER) for layout in _LAYOUTS for name in layout.maps},
 }
-_OF_A_RUN = ("results.nc", "results.zarr")
+RESULTS = "results"
+"""Name of the dataset of a run, without suffix."""
+_OF_A_RUN = tuple(f"{RESULTS}{suffix}" for suffix in SUFFIXES)
 _OF_A_FOLDER = (*_OF_A_RUN, "displacement.nc")  # of a run, or of measured images
 
 
 @check_arguments(DatasetError, path=file_path)
-def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
+def open_experiment(path: str | os.PathLike[str], *, sensor: str | None = None) -> xr.Dataset:
     """Open a recorded experiment as one labelled dataset; it may be larger than memory.
 
     Opening reads only coordinates. Every access to a map reads it from the disk, and nothing is cached; select the step
@@ -66,6 +70,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
         dataset beside it is opened: the one with its name, or the ``results`` of the run that recorded it. If there is
         none, it is made from the derived topics. Also the address of a dataset, a run or a recording in an object store
         (``s3://...`` or another one that fsspec knows), whose maps are fetched when they are used.
+    sensor
+        Name of the sensor, if there are several, each with a dataset of its own.
 
     Returns
     -------
@@ -79,37 +85,48 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     Raises
     ------
     RecordingError
-        There is no such recording, or it has neither a dataset nor derived topics; `process_bag` measures it.
+        There is no such recording, it has neither a dataset nor derived topics (`process_bag` measures it), or it
+        contains several sensors and none is chosen.
     DatasetError
-        The file is no dataset of this library, has no step or a step number twice, or a variable or an attribute is
+        There are datasets of several sensors and none is chosen, or the dataset is that of another one. Or the file is
+        no dataset of this library, has no step or a step number twice, or a variable or an attribute is
         damaged or of another program.
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
     if is_remote(path):
-        return _open_remote(str(path).rstrip("/"))
+        return _of_sensor(_open_remote(str(path).rstrip("/"), sensor), path, sensor)
     path = Path(path) if Path(path).name else Path(path).absolute()
     named = path.suffix in SUFFIXES or (path / _GROUP).is_file()
-    file = path if named else _dataset_in(path)
+    file = path if named else _dataset_in(path, sensor)
     if file is None:
         path = recording_of(path)
-        file = find_dataset(path)
+        file = find_dataset(path, sensor)
     if file is None:
         # not at the top: it loads all measuring rooms
         from fringedic.datasets.processing import dataset_from_derived
 
         try:
-            file = dataset_from_derived(path)
+            file = dataset_from_derived(path, sensor=sensor)
         except RecordingError as error:
             if error.code is not ErrorCode.MISSING_TOPIC:
                 raise
             raise RecordingError(
                 f"{error}; 'fringedic process {path}' measures it", code=ErrorCode.MISSING_TOPIC
             ) from error
-    return _open(file)
+    return _of_sensor(_open(file), file, sensor)
 
 
-def _dataset_in(folder: Path) -> Path | None:
+def _of_sensor(dataset: xr.Dataset, place: object, sensor: str | None) -> xr.Dataset:
+    """Return a dataset after a check that it is that of the chosen sensor."""
+    found = sensor_of(dataset)
+    if sensor not in (None, found):
+        dataset.close()
+        raise DatasetError(f"{place} is the dataset of the sensor '{found}'; give that of '{sensor}', or its recording")
+    return dataset
+
+
+def _dataset_in(folder: Path, sensor: str | None) -> Path | None:
     """Return the dataset in the folder of a run, None if there is none, or the path is no such folder.
 
     Raises
@@ -119,19 +136,20 @@ def _dataset_in(folder: Path) -> Path | None:
     """
     recording = folder / BAG
     if recording.exists():
-        return _current(recording, _of_run(recording) + _named(recording))
-    return next((folder / name for name in _OF_A_FOLDER if (folder / name).exists()), None)
+        return _current(recording, _of_run(recording) + _named(recording), sensor)
+    return _chosen(folder, [folder / name for name in _OF_A_FOLDER], sensor)
 
 
-def find_dataset(recording: Path) -> Path | None:
-    """Return the dataset beside a recording, None if there is none.
+def find_dataset(recording: Path, sensor: str | None = None) -> Path | None:
+    """Return the dataset of a sensor beside a recording, None if there is none.
 
     Raises
     ------
     DatasetError
-        The recording has become longer since its dataset was made, or a dataset is damaged.
+        The recording has become longer since its dataset was made, a dataset is damaged, or there are datasets of
+        several sensors and none is chosen.
     """
-    return _current(recording, _named(recording) + _of_run(recording))
+    return _current(recording, _named(recording) + _of_run(recording), sensor)
 
 
 def _named(recording: Path) -> list[Path]:
@@ -145,21 +163,67 @@ def _of_run(recording: Path) -> list[Path]:
     return [recording.with_name(name) for name in _OF_A_RUN]
 
 
-def _current(recording: Path, candidates: Iterable[Path]) -> Path | None:
-    """Return the first dataset with everything that was recorded, None if there is no dataset at all."""
-    outdated = ""
-    for candidate in filter(Path.exists, candidates):
-        with _open(candidate) as dataset:
-            attributes = dict(dataset.attrs)
-        if candidate.name in _OF_A_RUN and attributes.get("source") != recording.name:
-            continue
-        fault = _missing_part(recording, attributes)
-        if not fault:
-            return candidate
-        outdated = outdated or f"{candidate}: {fault}"
-    if outdated:
+def _current(recording: Path, files: Iterable[Path], sensor: str | None) -> Path | None:
+    """Return the dataset with everything that was recorded, None if there is no dataset at all."""
+
+    def fault(file: Path, attributes: Mapping[str, Any]) -> str | None:
+        of_a_run = file.name.removesuffix(file.suffix).split(".")[0] == RESULTS
+        return None if of_a_run and attributes.get("source") != recording.name else _missing_part(recording, attributes)
+
+    return _chosen(recording, files, sensor, fault)
+
+
+def _chosen(
+    place: Path,
+    files: Iterable[Path],
+    sensor: str | None,
+    fault: Callable[[Path, Mapping[str, Any]], str | None] = lambda _file, _attributes: "",
+) -> Path | None:
+    """Return the first dataset of a sensor out of files, and of those with the name of a sensor in theirs.
+
+    Parameters
+    ----------
+    place
+        Recording or folder, for messages.
+    files
+        Without the name of a sensor; they need not exist.
+    sensor
+        Name of the sensor; None for the only one.
+    fault
+        Returns why a dataset cannot be used, from its path and attributes; None for one that is to be passed over.
+
+    Raises
+    ------
+    DatasetError
+        No dataset can be used, or there are those of several sensors and none is chosen.
+    """
+    outdated, found = "", dict[str, Path]()
+    for named, group in _by_named_sensor(files).items():
+        for file in group:
+            with _open(file) as dataset:
+                name, reason = sensor_of(dataset), fault(file, dataset.attrs)
+            if reason is None or sensor not in (None, name) or named not in ("", name):
+                continue
+            if not reason:
+                found.setdefault(name, file)
+                break
+            outdated = outdated or f"{file}: {reason}"
+    if outdated and not found:
         raise DatasetError(outdated)
-    return None
+    if len(found) > 1:
+        raise DatasetError(choice_of_sensors(place, found))
+    return next(iter(found.values()), None)
+
+
+def _by_named_sensor(files: Iterable[Path]) -> dict[str, list[Path]]:
+    """Return the files that exist, and those with the name of a sensor in theirs, by this name, empty for none."""
+    groups: dict[str, list[Path]] = {"": []}
+    for file in files:
+        if file.exists():
+            groups[""].append(file)
+        for named in sorted(file.parent.glob(f"{escape(file.stem)}.*{file.suffix}")):
+            groups.setdefault(named.stem.removeprefix(f"{file.stem}."), []).append(named)
+    return groups
 
 
 def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
@@ -177,11 +241,13 @@ def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
     return ""
 
 
-def _open_remote(address: str) -> xr.Dataset:
+def _open_remote(address: str, sensor: str | None) -> xr.Dataset:
     """Open a dataset in an object store, or that of a run or recording there."""
     beside = address.removesuffix(f"/{BAG}")
     candidates = [address] if address.endswith(SUFFIXES) else [f"{beside}/{name}" for name in _OF_A_FOLDER]
     candidates += [f"{address}{suffix}" for suffix in SUFFIXES if not address.endswith(SUFFIXES)]
+    if sensor not in (None, SENSOR) and not address.endswith(SUFFIXES):
+        candidates = [f"{stem}.{sensor}.{suffix}" for stem, _, suffix in (each.rpartition(".") for each in candidates)]
     with named_errors(address):
         for candidate in candidates:
             files, place = file_system(candidate)

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.datasets.derived import Collected
-from fringedic.datasets.quantities import MISSING_PARTS, PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.quantities import MISSING_PARTS, MISSING_SETTINGS, PHASE_TOPICS, SOURCE_BYTES
 from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
-from fringedic.frames.records import frame_record
+from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.frames import RecordedMessage, events, paired
@@ -56,6 +56,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     reference: int | Sequence[int] | None = None,
     calibration: RigModel | None = None,
     experiment: str | None = None,
+    sensor: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int, str], None] | None = None,
 ) -> Path:
@@ -64,7 +65,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     With the recorded parameters the maps equal those of the nodes bit by bit; independent checks of phase and
     displacement are added, see docs/results.md. A step that fails has a row without maps, and the variable ``error``
     contains the reason. Of a recording that is cut off all complete steps are measured; the attribute ``damage``
-    describes the loss, and ``missing_parts`` names later parts of the same run that were not joined with it.
+    describes the loss, and ``missing_parts`` names later parts of the same run that were not joined with it. Nodes of
+    which no settings are recorded use the defaults and are listed in ``missing_settings``.
 
     Parameters
     ----------
@@ -73,9 +75,9 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         and the needed chunks are copied.
     output
         The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
-        name, in the working folder if the recording is in an object store.
+        name, and that of a sensor that was given one, in the working folder if the recording is in an object store.
     overrides
-        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
+        Parameters that replace the recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
     steps
         Numbers of the steps to measure; all by default. The reference steps are always measured. The displacement of
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
@@ -84,8 +86,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         measured against the latest of them before it, earlier ones against the first. By default as recorded.
     calibration
         Model of the rig, instead of the recorded one.
-    experiment
-        Name of the experiment, if the recording contains several.
+    experiment, sensor
+        Name of the experiment and of the sensor, if the recording contains several.
     overwrite
         Replace an existing output.
     progress
@@ -100,7 +102,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     ------
     RecordingError
         The recording lacks images or exposure records, or is damaged before its end;
-        `fringedic.recording.repair.recover` saves the rest.
+        `fringedic.recording.repair.recover` saves the rest. Or it contains several sensors and none is chosen.
     ConfigurationError
         An override is unknown or not allowed.
     CalibrationError
@@ -109,18 +111,22 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         The coarsest fringes repeat in the view of `calibration`.
     DatasetError
         The output exists or cannot be written, or the recording contains no frame of the experiment or of a requested
-        step, or several experiments.
+        step, or several experiments; or sign or tare of its force or the reference are not recorded, as in a later
+        file of a split recording, and not given.
 
     Examples
     --------
-    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})  # doctest: +SKIP
+    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})
     PosixPath('recordings/plate-7/bag.nc')
     """
     only = None if steps is None else frozenset(steps)
     several = () if reference is None else (reference,) if isinstance(reference, int) else tuple(sorted(reference))
-    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, only)
-    target = dataset_path(_name_nearby(str(path)) if is_remote(path) else recording_of(Path(path)), output, overwrite)
+    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, sensor, only)
+    source = _name_nearby(str(path)) if is_remote(path) else recording_of(Path(path))
+    target = None if output is None else dataset_path(source, output, overwrite)  # refused before anything is copied
     with local_copy(path, PROCESSED_TOPICS) as nearby:
+        if target is None:
+            target = dataset_path(source, None, overwrite, BagReader(nearby, sensor=sensor).sensor)
         process_into(target, nearby, settings, progress)
     return target
 
@@ -152,6 +158,7 @@ class ProcessingSettings:
     references: tuple[int, ...] = ()
     calibration: RigModel | None = None
     experiment: str | None = None
+    sensor: str | None = None
     steps: frozenset[int] | None = None
     segment: tuple[int, int] | None = None
 
@@ -192,11 +199,13 @@ def process_into(
     FringedicError
         See `process_bag`.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=settings.sensor)
     names = _processed_topics(reader)
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
-    timeline = Timeline(reader, names, settings.experiment, steps=read)
+    timeline = Timeline(reader, names, settings.experiment, steps=read, overrides=settings.overrides)
+    if not asked:
+        timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     pipeline = OfflinePipeline(settings.overrides, timeline.experiment, settings.references, settings.calibration)
@@ -255,9 +264,12 @@ def follow_into(
     FringedicError
         See `process_bag`.
     """
-    experiment = _followed_experiment(recording)
+    if settings.sensor is not None:
+        raise FollowError(f"{recording.path}: its sensors are known when it is complete")
+    first = _first_frame(recording)
+    experiment = first.experiment
     pipeline = OfflinePipeline(settings.overrides, experiment, calibration=settings.calibration)
-    attributes = {"experiment": experiment, "source": recording.path.name}
+    attributes = {"experiment": experiment, "sensor": first.sensor, "source": recording.path.name}
     topics = [name for name in PROCESSED_TOPICS if name not in SIGNAL_TOPICS]
 
     def rows() -> Iterator[Row]:
@@ -281,11 +293,11 @@ def follow_into(
             writer.enter_values(index, row)
 
 
-def _followed_experiment(recording: GrowingRecording) -> str:
-    """Return the experiment of the first measured step, as soon as that has ended."""
+def _first_frame(recording: GrowingRecording) -> FrameRecord:
+    """Return the record of the first frame of a step, as soon as that has ended."""
     for topic, message in recording.published(["camera/exposure", "experiment/step"]):
-        if topic == "camera/exposure" and frame_record(message).pattern.kind != PatternKind.OTHER:
-            return str(message.experiment)
+        if topic == "camera/exposure" and (record := frame_record(message)).pattern.kind != PatternKind.OTHER:
+            return record
     raise FollowError(f"{recording.path}: contains no frame of a step")
 
 
@@ -294,10 +306,12 @@ def _final_timeline(
 ) -> Timeline:
     """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
     reader = BagReader(recording.path)
-    timeline = Timeline(reader, _processed_topics(reader), None)
+    timeline = Timeline(reader, _processed_topics(reader), None, overrides=settings.overrides)
+    timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
-    differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
+    found = {"experiment": timeline.experiment, "sensor": timeline.sensor, "source": timeline.source}
+    differs = timeline.steps != steps or found != attributes
     if timeline.damage or differs or timeline.rejected:
         raise FollowError(f"{recording.path}: is not what was read while it was made")
     return timeline
@@ -309,6 +323,7 @@ def dataset_from_derived(
     *,
     output: str | os.PathLike[str] | None = None,
     experiment: str | None = None,
+    sensor: str | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the dataset of an experiment from the results that the nodes published, without measuring anything again.
@@ -318,7 +333,7 @@ def dataset_from_derived(
 
     Parameters
     ----------
-    path, output, experiment, overwrite
+    path, output, experiment, sensor, overwrite
         As of `process_bag`. The maps have the same names, so that both datasets can be compared.
 
     Returns
@@ -334,7 +349,7 @@ def dataset_from_derived(
         The output exists or cannot be written, or the recording contains no step of the experiment, or several
         experiments.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=sensor)
     names = reader.find("phase/status", "dic/status", "camera/exposure")
     derived = reader.find_optional(
         *(f"phase/{topic}" for topic in PHASE_TOPICS),
@@ -344,7 +359,7 @@ def dataset_from_derived(
     names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
     others = reader.find_optional(*SIGNAL_TOPICS, "experiment/step")
     timeline = Timeline(reader, names | others, experiment)
-    target = dataset_path(path, output, overwrite)
+    target = dataset_path(path, output, overwrite, timeline.sensor)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
     topics = {name: full for name, full in names.items() if name != "camera/exposure"}
 
@@ -367,12 +382,14 @@ def _write(
     settings: Callable[[], StepSettings],
     progress: Callable[[int, str], None] | None,
 ) -> None:
-    attributes = {"experiment": timeline.experiment, "source": timeline.source}
+    attributes = {"experiment": timeline.experiment, "sensor": timeline.sensor, "source": timeline.source}
     attributes[SOURCE_BYTES] = str(timeline.source_bytes)
     if timeline.damage:
         attributes["damage"] = timeline.damage
     if timeline.missing_parts:
         attributes[MISSING_PARTS] = json.dumps(timeline.missing_parts)
+    if timeline.missing_settings:
+        attributes[MISSING_SETTINGS] = json.dumps(timeline.missing_settings)
     with DatasetWriter(target, attributes) as writer:
         writer.add_signals(timeline.signals.values())
         for row in rows:

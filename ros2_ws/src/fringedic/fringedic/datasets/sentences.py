@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -30,6 +31,23 @@ def confirmation_sentence(dataset: xr.Dataset) -> str:
     return (
         f"{math.floor(1000 * share) / 10:.1f} % of the points are confirmed within {LIMIT:g} sigma by an independent "
         "check"
+    )
+
+
+def missing_settings_sentence(nodes: Sequence[str]) -> str:
+    """Return that the settings of nodes were not recorded; empty if they were.
+
+    Examples
+    --------
+    >>> missing_settings_sentence(["dic"])
+    'the settings of dic are not in the recording, defaults are used: put all files of the recording into its folder, \
+or give them (--set)'
+    """
+    if not nodes:
+        return ""
+    return (
+        f"the settings of {', '.join(nodes)} are not in the recording, defaults are used: put all files of the "
+        "recording into its folder, or give them (--set)"
     )
 
 

@@ -19,6 +19,7 @@ import xarray as xr
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.errors import DatasetError, ErrorCode
+from fringedic.frames.sensor import SENSOR, file_of
 from fringedic.wording.optional_packages import optional_import
 
 SUFFIXES = (".nc", ".zarr")
@@ -87,9 +88,12 @@ def check_suffix(target: Path) -> None:
 
 
 def dataset_path(
-    path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, overwrite: bool = False
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    sensor: str = SENSOR,
 ) -> Path:
-    """Return where the dataset of a recording goes: `output`, or NetCDF beside the recording with its name.
+    """Return where the dataset of a sensor in a recording goes: `output`, or NetCDF beside the recording with its name.
 
     Raises
     ------
@@ -100,7 +104,7 @@ def dataset_path(
     if not source.name:
         raise DatasetError(f"{path}: is no recording and no dataset")
     beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
-    target = beside if output is None else Path(output)
+    target = file_of(beside, sensor) if output is None else Path(output)
     check_suffix(target)
     if target.exists() and not overwrite:
         raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +19,13 @@ from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.reader import BagReader
 from fringedic.signals import FORCE, SIGNAL_TOPICS, Signal, SignalValue, signals_of
-from fringedic.steps.recorded_parameters import recorded_metadata
+from fringedic.steps.recorded_parameters import of_specimen, recorded_metadata, with_specimen
+from fringedic.steps.recorded_rig import EXPERIMENT, missing_settings
 
 # Stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven.
 _PROCESS, _END, _ERROR = 2, 3, 4
 _OF_PROCESSING = {108, 109, 110, 111, 115}  # errors of fringedic_msgs/MeasureStep that another processing may not have
+_WHOLE = "put all files of the recording into its folder"
 
 
 class Timeline:
@@ -39,14 +41,18 @@ class Timeline:
         Name of the experiment; None for the only one.
     steps
         The steps that are read, None for all; reference steps are read, too.
+    overrides
+        Settings that replace recorded ones; those of the specimen are used here.
 
     Attributes
     ----------
-    experiment
-        Name of the experiment.
+    experiment, sensor
+        Name of the experiment and of the sensor.
     source, source_bytes, damage, missing_parts
         Name of the recording, size of its files [byte], the description of its damage, and the names of later parts of
         the same run that were not joined with it.
+    missing_settings
+        Nodes whose settings are not in the recording, so that defaults are used.
     references
         Numbers of the reference steps.
     signals
@@ -58,7 +64,7 @@ class Timeline:
     ------
     DatasetError
         The recording contains no frame of the experiment, several experiments and none is named, or several
-        measurements of a step.
+        measurements of a step; or sign or tare of its force are unknown.
     """
 
     def __init__(
@@ -68,6 +74,7 @@ class Timeline:
         experiment: str | None,
         *,
         steps: AbstractSet[int] | None = None,
+        overrides: Mapping[str, Any] | None = None,
     ) -> None:
         def messages(name: str) -> Iterable[Any]:
             topics = [names[name]] if name in names else []
@@ -79,6 +86,7 @@ class Timeline:
         self.damage = reader.lost
         self.missing_parts = [part.name for part in reader.parts]
         exposed = [record for record in exposed if record.experiment == self.experiment]
+        self.sensor = exposed[0].sensor
         stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
         recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))
@@ -88,15 +96,51 @@ class Timeline:
             for each in stages
             if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
         }
-        announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
+        self._begun = self._exposed.keys() | {each.step for each in stages}
+        references = (each for each in messages("experiment/reference") if each.experiment == self.experiment)
+        self._announced = {each.step for each in references}
+        begin = next(self._times_of(reader, names["camera/exposure"]), 0)
+        self._reference_known = any(time <= begin for time in self._times_of(reader, names.get("experiment/reference")))
         # a reference step that failed before its first frame was announced, too, and the next one after it
-        self.references = (announced & self._exposed.keys()) | {min(self._exposed)}
+        self.references = (self._announced & self._exposed.keys()) | {min(self._exposed)}
         read = None if steps is None else steps | self.references
         refuse_repeated_steps((each for each in exposed if read is None or each.step in read), reader.path)
         self._recorded = recorded
-        specimen = recorded_metadata(messages("node_parameters")).specimen
+        entries = of_specimen(overrides or {})
+        specimen = with_specimen(recorded_metadata(messages("node_parameters")), entries).specimen
+        self.missing_settings = missing_settings(reader, exposed)
+        if observed:
+            self._require_sign_and_tare(entries, specimen)
         self._sign, self._tare = specimen.force_sign, self._force_tare(specimen)
         self.signals = {name: self._corrected(signal) for name, signal in recorded.items()}
+
+    def _require_sign_and_tare(self, given: Mapping[str, Any], specimen: SpecimenMetadata) -> None:
+        names = ("force_sign", "force_tare_newton") if EXPERIMENT in self.missing_settings else ()
+        unknown = [name for name in names if name not in given]
+        if specimen.force_tare_newton == FIRST_STEP and min(self._begun) > 0:
+            unknown.append("force_tare_newton")
+            reason = f"the first step, whose force is the tare, is missing (the first one is step {min(self._begun)})"
+        else:
+            reason = "the settings of the experiment node, with sign and tare of the force, are missing"
+        if unknown:
+            options = " ".join(f"--set specimen.{name}=..." for name in unknown)
+            raise DatasetError(f"{self.source}: {reason}; {_WHOLE}, or give them: {options}")
+
+    def _times_of(self, reader: BagReader, topic: str | None) -> Iterator[int]:
+        """Yield the log times of the messages of the experiment on a topic [ns]."""
+        topics = [] if topic is None else [topic]
+        return (time for _, message, time in reader.messages(topics) if message.experiment == self.experiment)
+
+    def require_reference(self) -> None:
+        """Raise DatasetError if it is not known which step the displacements are relative to, or if it is missing."""
+        if not self._reference_known:
+            reason = "which step is the reference of the first frames is not recorded (experiment/reference)"
+        elif not self._announced & self._exposed.keys():
+            reason = f"the reference step {', '.join(map(str, sorted(self._announced)))} is missing"
+        else:
+            return
+        present = ", ".join(map(str, self.steps))
+        raise DatasetError(f"{self.source}: {reason}; {_WHOLE}, or give one of the steps {present}: --reference STEP")
 
     def _force_tare(self, specimen: SpecimenMetadata) -> float:
         if specimen.force_tare_newton == FIRST_STEP:

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 from collections.abc import Iterable, Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -89,10 +90,12 @@ class DatasetWriter:
                 self._write_series(name, signal, about)
 
     def _free_name(self, name: str) -> str:
-        """Return the name of the variables of a signal, which is not that of another variable."""
+        """Return the name of a signal whose variables are not those of something else."""
         plain = re.sub(r"\W", "_", name)
-        taken = {*MAP_DIMENSIONS, *STEP_NUMBERS, "time", *self._layout.texts, *self._layout.scalars, *self._layout.maps}
-        return f"signal_{plain}" if plain in taken else plain
+        own = {*MAP_DIMENSIONS, *STEP_NUMBERS, "time", *self._layout.texts, *self._layout.scalars, *self._layout.maps}
+        taken = own.union(*map(_variables_of, self._signals.values()))
+        names = chain((plain, f"signal_{plain}"), (f"{plain}_{number}" for number in count(2)))
+        return next(each for each in names if not taken & _variables_of(each))
 
     def _write_series(self, name: str, signal: Signal, about: Mapping[str, str]) -> None:
         axis, series = time_name(name), series_name(name)
@@ -193,3 +196,8 @@ def _to_json(value: Any) -> str:
 
 def _sampled(image: np.ndarray, spacing: int) -> np.ndarray:
     return image[::spacing, ::spacing]
+
+
+def _variables_of(signal: str) -> set[str]:
+    series = series_name(signal)
+    return {signal, sigma_name(signal), time_name(signal), series, sigma_name(series)}

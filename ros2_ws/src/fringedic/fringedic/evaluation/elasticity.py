@@ -25,7 +25,7 @@ from fringedic.evaluation.probes import points_in
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Region
 from fringedic.signals import FORCE
-from fringedic.wording.arguments import check_arguments, number, of_type, optional, several
+from fringedic.wording.arguments import check_arguments, number, of_type, optional, several, text
 from fringedic.wording.arguments import dataset as dataset_of
 
 _STRAINS = ("e_11", "e_22")
@@ -37,8 +37,8 @@ _ITERATIONS = 100
 _EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
 
 
-@check_arguments(DatasetError, dataset=_EXPERIMENT, region=optional(of_type(Region)))
-def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Dataset:
+@check_arguments(DatasetError, dataset=_EXPERIMENT, region=optional(of_type(Region)), load=text)
+def strain_curve(dataset: xr.Dataset, region: Region | None = None, *, load: str = FORCE.name) -> xr.Dataset:
     """Return the mean strain of a region over the steps, with the standard uncertainty of the mean.
 
     Neighbouring points share their noise, so that the mean of n points is less certain than a standard deviation over
@@ -52,6 +52,8 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
         From `open_experiment`, with ``e_11``, ``e_22`` and their standard deviations.
     region
         Part of the reference image; by default all points.
+    load
+        Name of the signal with the force, as of `force_curve`.
 
     Returns
     -------
@@ -89,11 +91,11 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
         for k, name in enumerate(_SIGMAS)
     }
     curve = values_by_step(dataset, quantities)
-    if "force" in dataset:
-        loads = force_curve(dataset, readings[:, 0])
+    if load in dataset or load != FORCE.name:
+        loads = force_curve(dataset, readings[:, 0], load=load)
         curve = curve.assign({name: loads[name] for name in ("force", "stress") if name in loads})
-    if knows_sigma(dataset, FORCE.name):
-        curve = curve.assign(force_sigma=dataset[sigma_name(FORCE.name)].variable)
+    if knows_sigma(dataset, load):
+        curve = curve.assign(force_sigma=dataset[sigma_name(load)].variable)
     if "reference_step" in dataset:
         curve = curve.assign(reference_step=dataset["reference_step"].variable)
     return curve
@@ -132,6 +134,7 @@ class ElasticConstants:
     region=optional(of_type(Region)),
     strain=several(number(), length=2),
     sigma_force=number(0.0),
+    load=text,
 )
 def elastic_constants(
     dataset: xr.Dataset,
@@ -139,6 +142,7 @@ def elastic_constants(
     *,
     strain: Sequence[float] = (-1.0, 1.0),
     sigma_force: float = 0.0,
+    load: str = FORCE.name,
 ) -> ElasticConstants:
     """Return Young's modulus and Poisson's ratio of a region by regression with the uncertainty of both axes.
 
@@ -161,6 +165,8 @@ def elastic_constants(
         steps.
     sigma_force
         Standard uncertainty of a force, without its scale error [N], beside that of the signal (``force_sigma``).
+    load
+        Name of the signal with the force, as of `force_curve`.
 
     Raises
     ------
@@ -174,7 +180,7 @@ def elastic_constants(
     >>> elastic_constants(open_experiment("plate-7"), strain=(0.0005, 0.002))  # doctest: +SKIP
     ElasticConstants(axial='e_22', steps=8, modulus=3.1e9, ...)
     """
-    return constants_of(strain_curve(dataset, region), strain, sigma_force)
+    return constants_of(strain_curve(dataset, region, load=load), strain, sigma_force)
 
 
 def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float) -> ElasticConstants:

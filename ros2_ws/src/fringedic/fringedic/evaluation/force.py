@@ -8,9 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from fringedic.datasets.signals import signal_names
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import StepValues, values_by_step
-from fringedic.wording.arguments import array, check_arguments, number, optional
+from fringedic.signals import FORCE
+from fringedic.wording.arguments import array, check_arguments, number, optional, text
 from fringedic.wording.arguments import dataset as dataset_of
 
 
@@ -21,6 +23,7 @@ from fringedic.wording.arguments import dataset as dataset_of
     section=optional(number()),
     tare=number(),
     sign=number(),
+    load=text,
 )
 def force_curve(
     dataset: xr.Dataset,
@@ -29,6 +32,7 @@ def force_curve(
     section: float | None = None,
     tare: float = 0.0,
     sign: int = 1,
+    load: str = FORCE.name,
 ) -> xr.Dataset:
     """Return force, and stress if the section is known, against a strain or an elongation.
 
@@ -43,6 +47,8 @@ def force_curve(
         Area that carries the force [m^2]; by default that of the recorded metadata of the specimen.
     tare, sign
         Further corrections: sign (force - tare), with the tare [N] and the sign 1 or -1.
+    load
+        Name of the signal with the force [N], such as that of a second load cell.
 
     Returns
     -------
@@ -53,7 +59,7 @@ def force_curve(
     Raises
     ------
     DatasetError
-        The dataset has no force, the number of values is not that of the steps, or section or sign are not allowed.
+        The dataset has no such force, the number of values is not that of the steps, or section or sign is invalid.
 
     Examples
     --------
@@ -62,8 +68,12 @@ def force_curve(
     >>> force_curve(dataset, [0.0, 0.01], section=10e-6, tare=5.0).stress.values.round().tolist()
     [0.0, 2000000.0]
     """
-    if "force" not in dataset:
-        raise DatasetError("the dataset has no force: no load frame was recorded")
+    if load not in dataset or dataset[load].attrs.get("units", FORCE.unit) != FORCE.unit:
+        forces = [name for name in signal_names(dataset) if dataset[name].attrs["units"] == FORCE.unit]
+        raise DatasetError(
+            f"the dataset has no force [N] '{load}', only {', '.join(forces) or 'none'}; record a load frame, or name "
+            "another signal"
+        )
     values = np.asarray(strain, float)
     if values.shape != (dataset.sizes["step"],):
         raise DatasetError(f"strain has the shape {values.shape}, the dataset has {dataset.sizes['step']} steps")
@@ -72,7 +82,7 @@ def force_curve(
     if section is not None and not section > 0:
         raise DatasetError(f"section is {section} m2: it has to be above 0")
     section = _recorded_section(dataset) if section is None else section
-    force = sign * (dataset["force"].values.astype(float) - tare)
+    force = sign * (dataset[load].values.astype(float) - tare)
     curve = {"strain": StepValues(values, "1", "strain"), "force": StepValues(force, "N", "force")}
     if section is not None:
         curve["stress"] = StepValues(force / section, "Pa", "force over the reference section")

@@ -172,7 +172,7 @@ def profile(
     Raises
     ------
     DatasetError
-        A map is missing, or the line leaves the result.
+        A map is missing, or the line has no length or leaves the result.
 
     Examples
     --------
@@ -185,6 +185,8 @@ def profile(
     """
     require_maps(dataset, names)
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    if not length > 0:
+        raise DatasetError(f"the line from {start} to {end} px (column, row) has no length; give two different points")
     number = points or round(length) + 1
     column, row = (np.linspace(a, b, number) for a, b in zip(start, end, strict=True))
     where = [

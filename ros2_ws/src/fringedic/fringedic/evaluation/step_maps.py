@@ -23,7 +23,8 @@ def require_maps(dataset: xr.Dataset, names: Iterable[str]) -> None:
     """Raise DatasetError when a dataset lacks one of these maps of numbers."""
     missing = [name for name in names if name not in dataset or not {"row", "column"} <= set(dataset[name].dims)]
     if missing:
-        raise DatasetError(f"the dataset has no map {', '.join(missing)}")
+        present = [str(name) for name, each in dataset.data_vars.items() if {"row", "column"} <= set(each.dims)]
+        raise DatasetError(f"the dataset has no map {', '.join(missing)}; it has {', '.join(present) or 'none'}")
     other = [name for name in names if dataset[name].dtype.kind not in "iuf"]
     if other:
         raise DatasetError(f"{', '.join(other)}: contains no numbers")

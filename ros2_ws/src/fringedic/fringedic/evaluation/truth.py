@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -103,7 +103,12 @@ def _counts_from(truth: xr.Dataset, step: int) -> bool:
 
 
 @check_arguments(DatasetError, dataset=dataset_of(), truth_path=path)
-def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) -> xr.Dataset:
+def compare_with_truth(
+    dataset: xr.Dataset,
+    truth_path: str | os.PathLike[str],
+    *,
+    reconstruct: Callable[[xr.DataArray], xr.Dataset] | None = None,
+) -> xr.Dataset:
     """Compare each step with the ground truth of the virtual rig.
 
     The comparison covers the displacement (u, v, w) of the material point at each reference pixel, and the height of
@@ -116,24 +121,31 @@ def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) 
         From `open_experiment`.
     truth_path
         See `open_truth`.
+    reconstruct
+        Returns the surface of a phase with the exact calibration of the rig, for the errors of the heights alone.
 
     Returns
     -------
     Dataset
         Over ``step``: ``error_u``, ``error_v``, ``error_w``, ``error_z`` RMS [µm], and ``measured_fraction``, the share
-        of the points visible in both images that was measured [1].
+        of the points visible in both images that was measured [1]; with `reconstruct` also ``error_z_exact`` RMS [µm].
 
     Raises
     ------
     DatasetError
         The truth lacks steps or pixels of the dataset, or is damaged.
     """
-    table: dict[str, list[float]] = {name: [] for name in (*(f"error_{each}" for each in "uvwz"), "measured_fraction")}
+    names = (*(f"error_{each}" for each in "uvwz"), *(["error_z_exact"] if reconstruct else []), "measured_fraction")
+    table: dict[str, list[float]] = {name: [] for name in names}
     with open_truth(truth_path) as truth:
         for step in dataset.step.values:
             errors = truth_errors(dataset, truth, int(step))
             for name in "uvwz":
                 table[f"error_{name}"].append(_rms(errors[f"error_{name}"].values) / MICRO)
+            if reconstruct is not None:
+                height = reconstruct(dataset.phase.sel(step=step)).z.values
+                true = truth.z_deformed.isel(step=int(step)).sel(row=dataset.row.values, column=dataset.column.values)
+                table["error_z_exact"].append(_rms(height - true.values) / MICRO)
             visible = errors["visible"].values
             measured = np.isfinite(errors["error_w"].values) & visible
             table["measured_fraction"].append(measured.sum() / visible.sum() if visible.any() else np.nan)

@@ -13,6 +13,7 @@ from fringedic.datasets.attributes import file_stem, map_names, origin_text, sec
 from fringedic.datasets.quantities import people_unit
 from fringedic.errors import ExportError
 from fringedic.evaluation.motion import in_space
+from fringedic.export.tables import write_origin
 from fringedic.wording.optional_packages import optional_import
 
 MILLI = 1e-3
@@ -146,6 +147,8 @@ def write_collection(file: Path, entries: Iterable[str]) -> None:
 def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
     """Write the surface of each step where it has moved to [mm], with its displacement and strain at every point.
 
+    ``metadata.json`` is beside them, because readers of PLY allow short comments only.
+
     Returns
     -------
     list of str
@@ -158,7 +161,6 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
     """
     folder.mkdir(parents=True)
     skipped: list[str] = []
-    text = origin_text(dataset)
     names = [name for name in map_names(dataset) if not name.startswith("shape_") and name not in "xyz"]
     for step, valid, quads in _surfaces(dataset, skipped):
         columns = {
@@ -166,8 +168,9 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
             for axis, moved in zip("xyz", "uvw", strict=True)
         }
         columns |= _maps(step, names, valid)
-        comments = ["units mm", *(f"{name} {value}" for name, value in step_numbers(step).items()), f"metadata {text}"]
+        comments = ["units mm", *(f"{name} {value}" for name, value in step_numbers(step).items())]
         _save_ply(folder / f"step_{int(step.step):03d}.ply", columns, quads, comments)
+    write_origin(dataset, folder)
     return skipped
 
 

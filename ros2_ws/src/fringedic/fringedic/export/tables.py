@@ -19,6 +19,7 @@ from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import ExportError
 from fringedic.wording.optional_packages import optional_import
+from fringedic.wording.path_names import path_name
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark
@@ -56,8 +57,13 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
         np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding=_WITH_MARK)
     with open(folder / "steps.csv", "w", newline="", encoding=_WITH_MARK) as stream:
         csv.writer(stream).writerows(_steps_table(dataset))
-    (folder / "metadata.json").write_text(json.dumps(origin_of(dataset), indent=1), encoding="utf-8")
+    write_origin(dataset, folder)
     return skipped
+
+
+def write_origin(dataset: xr.Dataset, folder: Path) -> None:
+    """Write ``metadata.json`` for files that cannot contain it."""
+    (folder / "metadata.json").write_text(json.dumps(origin_of(dataset), indent=1), encoding="utf-8")
 
 
 def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
@@ -139,7 +145,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
                 **origin,
             }
             tifffile.imwrite(
-                folder / f"step_{int(number):03d}_{name}_{unit.identifier}.tif",
+                folder / f"step_{int(number):03d}_{path_name(name)}_{unit.identifier}.tif",
                 (values / unit.factor).astype(np.float32),
                 description=json.dumps(description),
                 metadata=None,

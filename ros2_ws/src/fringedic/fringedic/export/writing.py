@@ -124,9 +124,12 @@ def export_dataset(
 
     Examples
     --------
-    >>> export_dataset(dataset, Path("plate-7"), ["vtk", "csv"])  # doctest: +SKIP
-    [Exported(format='vtk', path=PosixPath('plate-7/plate_vtk'), problems=[]),
-     Exported(format='csv', path=PosixPath('plate-7/plate_csv'), problems=[])]
+    >>> import fringedic
+    >>> dataset = fringedic.open_experiment("recordings/plate-7/bag")
+    >>> for each in export_dataset(dataset, Path("plate-7"), ["csv", "ply"], steps=[2]):
+    ...     print(each.format, each.path, each.problems)
+    csv plate-7/tiny_csv []
+    ply plate-7/tiny_ply []
     """
     folder, formats = Path(folder), list(formats)
     unknown = [name for name in formats if name not in _FORMATS]

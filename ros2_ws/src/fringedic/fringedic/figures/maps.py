@@ -78,9 +78,10 @@ def save_pictures(
 
     Examples
     --------
-    >>> dataset = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
-    >>> save_pictures(dataset, "pictures")  # doctest: +SKIP
-    [PosixPath('pictures/step_000.png'), PosixPath('pictures/step_001.png')]
+    >>> import fringedic
+    >>> dataset = fringedic.open_experiment("recordings/plate-7/bag").isel(step=[2])
+    >>> [picture.name for picture in save_pictures(dataset, "pictures")]
+    ['step_002.png', 'step_002_strain.png', 'step_002_sigma.png']
     """
     target = Path(folder)
     try:

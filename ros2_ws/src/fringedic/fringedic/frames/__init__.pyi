@@ -6,6 +6,7 @@ from .exposures import merge_exposures as merge_exposures
 from .messages import cloud_arrays as cloud_arrays
 from .messages import image_array as image_array
 from .noise import CameraNoise as CameraNoise
+from .records import Frame as Frame
 from .records import FrameRecord as FrameRecord
 from .records import frame_record as frame_record
 from .records import stamp_of as stamp_of

@@ -11,13 +11,13 @@ from fringedic.errors import ClockJumpError
 from fringedic.wording.numbers import number_text
 
 # the tests in test_clocks.py fix these limits
-_LARGEST_DRIFT = 1e-4  # [s/s] between two quartz clocks, each specified to 50 ppm or better
-_BLOCK = 16  # frames of which the one with the shortest delay counts for the drift
+_LARGEST_DRIFT = 1e-4  # [s/s]: each of two quartz clocks is specified to 50 ppm or better
+_BLOCK = 16  # the frame with the shortest delay of so many counts for the drift
 _SET_NS = 20_000_000  # a computer's clock is not slewed by more between two frames, besides _SLEW of their distance
 _SLEW = 1e-3  # [s/s] twice the largest slew rate of adjtime and NTP (RFC 5905: 500 ppm)
 _JUMP_NS = 1_000_000_000  # no frame arrives so much faster than all before
-_KNOWN = 10  # frames after which the shortest delay is known well enough
-_PAUSE_NS = 10_000_000_000  # after which the clocks may have drifted apart by 1 ms
+_KNOWN = 10  # after so many frames the shortest delay is known well enough
+_PAUSE_NS = 10_000_000_000  # the clocks may drift apart by 1 ms in this time
 _CLOSE_NS = 20_000  # between two reads of a clock in one process: 100 times as long as without an interruption
 _TRIES = 10
 
@@ -138,9 +138,20 @@ class DeviceClock:
         """
         difference = arrived_ns - device_ns
         try:
-            self._refuse_jump(device_ns, difference)
+            last, self._wall = self._wall, self._wall_minus_monotonic()
+            if self._frames:
+                passed = device_ns - self._device_ns
+                changed = self._wall - last
+                if abs(changed) > _SET_NS + _SLEW * abs(passed):
+                    raise ClockJumpError(_words("this computer's clock", changed))
+                faster = self._smallest - difference
+                if passed <= 0:
+                    raise ClockJumpError(_words(f"the {self._device}'s clock", min(faster, passed)))
+                if self._frames >= _KNOWN and faster > _JUMP_NS + _LARGEST_DRIFT * passed:
+                    raise ClockJumpError(_words(f"the {self._device}'s clock", faster))
         except ClockJumpError:
-            self._restart()
+            self._line = _Line()
+            self._frames = self._without_pause = 0
             raise
         passed = device_ns - self._device_ns
         if self._frames:
@@ -150,24 +161,6 @@ class DeviceClock:
         self._without_pause = self._without_pause + 1 if passed < _PAUSE_NS else 1
         self._device_ns = device_ns
         self._frames += 1
-        self._add_to_block(device_ns, difference)
-        return device_ns + self._smallest
-
-    def _refuse_jump(self, device_ns: int, difference: int) -> None:
-        last, self._wall = self._wall, self._wall_minus_monotonic()
-        if not self._frames:
-            return
-        passed = device_ns - self._device_ns
-        changed = self._wall - last
-        if abs(changed) > _SET_NS + _SLEW * abs(passed):
-            raise ClockJumpError(_words("this computer's clock", changed))
-        faster = self._smallest - difference
-        if passed <= 0:
-            raise ClockJumpError(_words(f"the {self._device}'s clock", min(faster, passed)))
-        if self._frames >= _KNOWN and faster > _JUMP_NS + _LARGEST_DRIFT * passed:
-            raise ClockJumpError(_words(f"the {self._device}'s clock", faster))
-
-    def _add_to_block(self, device_ns: int, difference: int) -> None:
         if self._frames == 1:
             self._first, self._origin = difference, (device_ns, difference)
         if self._frames % _BLOCK == 1 or difference < self._quickest[1]:
@@ -177,10 +170,7 @@ class DeviceClock:
             self._line.add(1e-9 * (at - self._origin[0]), 1e-9 * (quickest - self._origin[1]))
             if self._line.points == 1:
                 self._first = quickest  # the very first frame may have been late
-
-    def _restart(self) -> None:
-        self._line = _Line()
-        self._frames = self._without_pause = 0
+        return device_ns + self._smallest
 
 
 class _Line:

@@ -1,6 +1,6 @@
 """Collects single frames into complete stacks, one per step.
 
-An exposure is identified by (experiment, step, index). Frames are joined by these numbers, never by time.
+An exposure is identified by (sensor, experiment, step, index). Frames are joined by these, never by time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.exposure_groups import exposure_groups
-from fringedic.frames.records import FrameRecord
+from fringedic.frames.records import FrameRecord, StepKey
+from fringedic.frames.sensor import SENSOR
 from fringedic.patterns.pattern import PHASE_KINDS, Orientation, PatternKind, ProjectedPattern
 
 MOST_FRAMES = 1000  # of a step, which are in memory together; far more than a sequence has
@@ -26,13 +27,15 @@ class Stack:
     Attributes
     ----------
     experiment, step
-        Identity of the step.
+        Identity of the step, with the sensor.
     records
         One record per frame, in the order of ``index``.
     frames
         Grey levels, shape (count, row, column), type of the camera's pixels.
     stamp
         Stamp of the last exposure [ns]: the stamp of everything computed from this step.
+    sensor
+        Name of the camera with its projector.
     """
 
     experiment: str
@@ -40,6 +43,7 @@ class Stack:
     records: list[FrameRecord]
     frames: np.ndarray
     stamp: int
+    sensor: str = SENSOR
 
     @property
     def patterns(self) -> list[ProjectedPattern]:
@@ -64,7 +68,7 @@ class _OpenStep:
 
 
 class FrameCollector:
-    """Joins single frames into stacks, one per step.
+    """Joins single frames into stacks, one per step and sensor.
 
     The collector uses no clock. Missing frames are detected when the last index arrives, because one publisher over
     reliable transport keeps the order. When the last frame itself is lost, the experiment ends the step and the owner
@@ -89,14 +93,14 @@ class FrameCollector:
     """
 
     def __init__(self) -> None:
-        self._open: dict[tuple[str, int], _OpenStep] = {}
-        self._failed: set[tuple[str, int]] = set()
-        self._ended: set[tuple[str, int]] = set()
+        self._open: dict[StepKey, _OpenStep] = {}
+        self._failed: set[StepKey] = set()
+        self._ended: set[StepKey] = set()
         self.discarded = 0
 
     @property
-    def open_steps(self) -> list[tuple[str, int]]:
-        """(experiment, step) of the steps of which some but not all frames have arrived, oldest first."""
+    def open_steps(self) -> list[StepKey]:
+        """The steps of which some but not all frames have arrived, oldest first."""
         return list(self._open)
 
     def add(self, record: FrameRecord, image: np.ndarray) -> Stack | None:
@@ -121,7 +125,7 @@ class FrameCollector:
             pattern differs from the other frames of the step; FRAME_MISSING: the last frame has arrived and others have
             not. The step has failed in these cases. FRAME_LATE: the step has ended already and its result is unchanged.
         """
-        key = (record.experiment, record.step)
+        key = record.step_key
         identity: dict[str, Any] = {"experiment": record.experiment, "step": record.step, "index": record.index}
         if key in self._ended:
             raise StepError(
@@ -156,9 +160,9 @@ class FrameCollector:
         incomplete = _incomplete(records)
         if incomplete:
             raise StepError(incomplete, **identity, code=ErrorCode.FRAME_MISMATCH)
-        return Stack(record.experiment, record.step, records, step.frames, records[-1].stamp)
+        return Stack(record.experiment, record.step, records, step.frames, records[-1].stamp, record.sensor)
 
-    def abandon(self, experiment: str, step: int) -> StepError | None:
+    def abandon(self, key: StepKey) -> StepError | None:
         """End a step before its last frame has arrived, because the experiment has given it up.
 
         Returns
@@ -166,7 +170,6 @@ class FrameCollector:
         StepError or None
             The error to report, which lists the missing frames; None when no frame of the step has arrived.
         """
-        key = (experiment, step)
         opened = self._open.pop(key, None)
         self._failed.discard(key)
         self._ended.add(key)
@@ -174,7 +177,7 @@ class FrameCollector:
             return None
         count = next(iter(opened.records.values())).count
         missing = [index for index in range(count) if index not in opened.records]
-        return _missing(missing, count, experiment, step)
+        return _missing(missing, count, key.experiment, key.step)
 
     def _mismatch(self, record: FrameRecord, image: np.ndarray) -> str:
         """Return how a frame contradicts itself or the others of its step; empty when it does not."""
@@ -184,7 +187,7 @@ class FrameCollector:
             return f"belongs to a sequence of {record.count} frames, {MOST_FRAMES} are possible"
         if image.ndim != 2:
             return f"has the shape {image.shape}, not (row, column)"
-        opened = self._open.get((record.experiment, record.step))
+        opened = self._open.get(record.step_key)
         if opened is None:
             return ""
         first = next(iter(opened.records.values()))
@@ -200,12 +203,12 @@ class FrameCollector:
             return "shows {}, the step began with {}".format(*kinds)
         return ""
 
-    def _fail(self, key: tuple[str, int], record: FrameRecord) -> None:
+    def _fail(self, key: StepKey, record: FrameRecord) -> None:
         self._open.pop(key, None)
         self._failed.add(key)
         self._end_if_last(key, record)
 
-    def _end_if_last(self, key: tuple[str, int], record: FrameRecord) -> None:
+    def _end_if_last(self, key: StepKey, record: FrameRecord) -> None:
         if record.index >= record.count - 1:
             self._failed.discard(key)
             self._ended.add(key)

@@ -1,4 +1,4 @@
-"""Reads grey levels from image files."""
+"""Reads and writes grey levels in image files."""
 
 from __future__ import annotations
 
@@ -71,6 +71,22 @@ def read_grey(path: Path) -> np.ndarray:
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     return image if image.ndim == 2 else luminance(image)
+
+
+def write_grey(path: Path, image: np.ndarray) -> None:
+    """Write grey levels (row, column), uint8 or uint16, into an image file.
+
+    Raises
+    ------
+    ImageError
+        The file cannot be written, or its suffix is none of ``IMAGE_SUFFIXES``.
+    """
+    try:
+        written = cv2.imwrite(str(path), image)
+    except cv2.error as error:
+        raise ImageError(f"{path}: cannot be written as an image; take a name that ends in .png") from error
+    if not written:
+        raise ImageError(f"{path}: cannot be written; check the folder and the space on the disk")
 
 
 def _refuse_changed_tiff(path: Path, content: bytes) -> None:

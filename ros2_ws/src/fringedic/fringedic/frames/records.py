@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
+from fringedic.errors import ImageError
+from fringedic.frames.sensor import SENSOR, sensor_name
 from fringedic.patterns.pattern import PatternMessage, ProjectedPattern, pattern_of_message
+from fringedic.wording.arguments import check_value
+
+
+class StepKey(NamedTuple):
+    """Identity of the frames of one step: experiment and number of the step, and the sensor that exposed them."""
+
+    experiment: str
+    step: int
+    sensor: str = SENSOR
 
 
 @dataclass(frozen=True)
@@ -15,7 +29,7 @@ class FrameRecord:
     Attributes
     ----------
     experiment, step, index
-        Identity of the exposure; ``index`` runs from 0 to ``count - 1``.
+        Identity of the exposure, with the sensor; ``index`` runs from 0 to ``count - 1``.
     count
         Frames in the step's sequence.
     pattern
@@ -28,6 +42,8 @@ class FrameRecord:
         Frames that the camera has lost since it was started.
     image_crc
         CRC-32 (zlib) of the image's data; 0 in recordings of version 0.1.
+    sensor
+        Name of the camera with its projector.
     """
 
     experiment: str
@@ -39,6 +55,27 @@ class FrameRecord:
     exposure_time: float
     dropped: int = 0
     image_crc: int = 0
+    sensor: str = SENSOR
+
+    def __post_init__(self) -> None:
+        check_value(ImageError, "sensor", self.sensor, sensor_name)
+
+    @property
+    def step_key(self) -> StepKey:
+        """The frames of one step have it in common."""
+        return StepKey(self.experiment, self.step, self.sensor)
+
+
+class Frame(NamedTuple):
+    """One image, grey levels (row, column), with its exposure record."""
+
+    image: np.ndarray
+    record: FrameRecord
+
+
+def image_stack(frames: Iterable[Frame]) -> np.ndarray:
+    """Return the images of frames of one size, shape (frame, row, column)."""
+    return np.stack([each.image for each in frames])
 
 
 class StampedMessage(Protocol):
@@ -57,6 +94,7 @@ class ExposureMessage(StampedMessage, PatternMessage, Protocol):
     exposure_time: float
     dropped: int
     image_crc: int
+    sensor: str
 
 
 def stamp_of(message: StampedMessage) -> int:
@@ -84,6 +122,8 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
     ------
     PatternError
         Kind or orientation is not one of the defined numbers.
+    ImageError
+        The sensor has no valid name.
     """
     return FrameRecord(
         experiment=exposure.experiment,
@@ -95,4 +135,5 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
         exposure_time=exposure.exposure_time,
         dropped=exposure.dropped,
         image_crc=exposure.image_crc,
+        sensor=exposure.sensor or SENSOR,
     )

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,12 +15,12 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import ImageError
-from fringedic.frames.files import read_grey
+from fringedic.frames.files import read_grey, write_grey
 from fringedic.wording.arguments import check_value, number, several
 from fringedic.wording.yaml_text import load_yaml
 
 POLYGON_SUFFIXES = (".yaml", ".yml")
-SUBPIXEL_BITS = 4  # of the corners, when they are drawn
+SUBPIXEL_BITS = 4  # OpenCV draws corners with this resolution
 _LARGEST_IMAGE = 32_768  # width or height [px]
 _position = number(-1e6, 1e6)  # [px]; OpenCV draws with 32 bits
 Point = tuple[float, float]
@@ -226,14 +227,30 @@ class Region:
             The text is no region.
         """
         try:
-            found = _RegionFile.model_validate(load_yaml(text))
+            return cls.from_content(load_yaml(text))
         except yaml.YAMLError as error:
             raise ImageError(f"region: no YAML: {error}") from error
+
+    @classmethod
+    def from_content(cls, content: Any) -> Region:
+        """Return the region whose polygons and size a mapping contains.
+
+        Raises
+        ------
+        ImageError
+            The content is no region.
+        """
+        try:
+            found = _RegionFile.model_validate(content)
         except ValidationError as error:
             problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
             raise ImageError(f"region: {problems}") from error
         polygons = tuple(Polygon(tuple(polygon.points), polygon.hole) for polygon in found.polygons)
         return cls(polygons, found.width, found.height)
+
+    def share(self) -> float:
+        """Return the fraction of the image that is in the region."""
+        return float(self.mask().mean())
 
     def save(self, picture: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Write the mask as an image (white inside), and beside it the polygons as YAML; return both paths.
@@ -247,12 +264,7 @@ class Region:
         """
         target = Path(picture)
         target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            written = cv2.imwrite(str(target), self.mask().astype(np.uint8) * 255)
-        except cv2.error as error:
-            raise ImageError(f"{target}: cannot be written as an image; take a name that ends in .png") from error
-        if not written:
-            raise ImageError(f"{target}: cannot be written")
+        write_grey(target, self.mask().astype(np.uint8) * 255)
         corners = target.with_suffix(".yaml")
         head = "# Region of interest: corners are [column, row] in pixels of the camera's image, holes are cut out\n"
         corners.write_text(head + yaml.safe_dump(self._content(), default_flow_style=None, sort_keys=False))

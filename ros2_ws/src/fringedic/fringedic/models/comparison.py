@@ -23,6 +23,7 @@ from fringedic.models.model import Model
 from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
 from fringedic.models.placement import Placement
 from fringedic.models.rendering import measure_rendered
+from fringedic.models.rigid_motion import RIGID_MOTION, RigidMotion, fit_rigid_motion
 from fringedic.models.sampling import facing, sample
 from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
 from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
@@ -66,8 +67,8 @@ def _load_of_each_step(value: object) -> dict[int, float]:
     reference_image=optional(array(2)),
     **FEATURE_CHECKS,
     steps=optional(several(whole(), least=1)),
-    load=text,
-    loads=optional(_load_of_each_step),
+    by=text,
+    load_table=optional(_load_of_each_step),
 )
 def compare_model(  # noqa: PLR0913 (options of a public function, all by keyword)
     experiment: xr.Dataset,
@@ -77,12 +78,13 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     pair_sigma: float | None = None,
     holes: Sequence[Pair] = (),
     edges: Sequence[Edge] = (),
-    start: str = "given",
+    principal_axes: bool = False,
     by_displacement: bool = False,
+    remove_rigid_motion: bool = False,
     reference_image: np.ndarray | None = None,
     steps: Iterable[int] | None = None,
-    load: str = "force",
-    loads: Mapping[int, float] | None = None,
+    by: str = "force",
+    load_table: Mapping[int, float] | None = None,
 ) -> xr.Dataset:
     """Compare the measured displacement and strain of each step with those of a model.
 
@@ -109,22 +111,25 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     edges
         Straight edges (((column, row), (column, row)), ((x, y, z), (x, y, z))): two pixels on the edge, and any two
         points of it in the model.
-    start
-        Without three pairs: ``"given"``, the model is in the rig frame already, or ``"principal axes"``, see
-        `place_model`.
+    principal_axes
+        Without three pairs: the principal axes of model and surface are the same, see `place_model`; by default the
+        model is in the rig frame already.
     by_displacement
         Move the model in directions that remain so that its displacement at the last step fits best. It hides a feature
         in the wrong place.
+    remove_rigid_motion
+        Take the rigid motion that fits measured minus model best away from the measured displacement: a machine or a
+        holder that moves is not in the model.
     reference_image
         Image (row, column) of the reference step without fringes, NaN beside the surface. With it the model's in-plane
         displacement is rendered with the texture of the surface and measured as the test was (full levelling), instead
         of filtered.
     steps
         Numbers of the steps; by default all with a displacement and a load within those of the model.
-    load
+    by
         Which signal the loads of the model are values of, in its unit: ``"force"`` [N], ``"position"`` of the
         crosshead [m], or another one of the dataset.
-    loads
+    load_table
         Load of the model for each step by number, instead of the recorded value.
 
     Returns
@@ -134,9 +139,11 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
         ``sigma_``, ``model_``, ``difference_`` (measured minus model), ``sigma_difference_`` and ``normalized_``, the
         difference over its standard uncertainty. ``x``, ``y``, ``z`` and ``distance`` of the reference surface from the
         model along z [m]. Over (step, quantity) the values of `fringedic.models.agreement`; over step those of
-        `fringedic.models.shift`, the ``load_of_model`` and the ``load_of_reference``. Over quantity those of all steps
-        together, ``curve_factor`` and others.
-        The attribute ``placement`` (JSON) contains the rigid transformation with its standard uncertainties.
+        `fringedic.models.shift` and `fringedic.models.rigid_motion`, the ``load_of_model`` and the
+        ``load_of_reference``. Over quantity those of all steps together, ``curve_factor`` and others.
+        The attribute ``placement`` (JSON) contains the rigid transformation with its standard uncertainties,
+        ``left_out`` (JSON) the loads of the model and of the displaced steps outside them, which are not compared, and
+        ``rigid_motion`` whether it was removed.
 
     Raises
     ------
@@ -157,9 +164,9 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     levelling = levelling_of(experiment)
     if reference_image is not None:
         _require_image(reference_image, experiment)
-    of_step = _loads(experiment, model, load, loads)
-    chosen = _choose(experiment, model, of_step, steps)
-    features = Features(pairs, pair_sigma, holes, edges, start)
+    of_step = _loads(experiment, model, by, load_table)
+    chosen, left_out = _choose(experiment, model, of_step, steps)
+    features = Features(pairs, pair_sigma, holes, edges, principal_axes)
     placement: Placement | None = None
     compared: list[xr.Dataset] = []
     for number_of_step in chosen:
@@ -174,26 +181,32 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
                 placement = _Comparison(
                     last, model, placement, levelling, _load_range(last, of_step)
                 ).placed_by_displacement()
-        comparison = _Comparison(step, model, placement, levelling, loads_of_step, reference_image)
+        comparison = _Comparison(step, model, placement, levelling, loads_of_step, reference_image, remove_rigid_motion)
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
     joined = xr.concat(compared, "step", coords="minimal", compat="override", join="override")
     joined = joined.merge(assess_curve(joined))
+    kept = {name: experiment.attrs[name] for name in KEPT if name in experiment.attrs}
     return joined.assign_attrs(
-        {name: experiment.attrs[name] for name in KEPT if name in experiment.attrs}
-    ).assign_attrs(model=model.name, load=load, placement=placement_text(placement))
+        **kept,
+        model=model.name,
+        load=by,
+        placement=placement_text(placement),
+        left_out=json.dumps({"model": model.loads[[0, -1]].tolist(), "steps": left_out}),
+        rigid_motion="removed" if remove_rigid_motion else "contained",
+    )
 
 
-def _loads(experiment: xr.Dataset, model: Model, load: str, loads: Mapping[int, float] | None) -> dict[int, float]:
+def _loads(experiment: xr.Dataset, model: Model, by: str, load_table: Mapping[int, float] | None) -> dict[int, float]:
     """Return the load of each step that has one."""
-    if loads is not None:
-        return dict(loads)
-    if load not in experiment or experiment[load].dtype.kind != "f" or not np.isfinite(experiment[load].values).any():
+    if load_table is not None:
+        return dict(load_table)
+    if by not in experiment or experiment[by].dtype.kind != "f" or not np.isfinite(experiment[by].values).any():
         raise ModelError(
-            f"the dataset has no {load}, by which the load steps of {model.name} are found: give the load of each "
-            "step, such as loads={1: 250.0}"
+            f"the dataset has no {by}, by which the load steps of {model.name} are found: give the load of each step "
+            "(--load-table; in Python load_table={1: 250.0})"
         )
-    values = zip(experiment["step"].values.tolist(), experiment[load].values.tolist(), strict=True)
+    values = zip(experiment["step"].values.tolist(), experiment[by].values.tolist(), strict=True)
     return {step: value for step, value in values if np.isfinite(value)}
 
 
@@ -204,8 +217,8 @@ def _load_range(step: xr.Dataset, of_step: Mapping[int, float]) -> tuple[float, 
 
 def _choose(
     experiment: xr.Dataset, model: Model, of_step: Mapping[int, float], steps: Iterable[int] | None
-) -> list[int]:
-    """Return the steps to compare: displaced, with a load within those of the model."""
+) -> tuple[list[int], dict[int, float]]:
+    """Return the steps to compare, displaced with a load within those of the model, and the loads of the others."""
     references = dict(
         zip(experiment["step"].values.tolist(), experiment["reference_step"].values.tolist(), strict=True)
     )
@@ -218,9 +231,10 @@ def _choose(
         first, last = (extreme(of_step[step] for step in displaced) for extreme in (min, max))
         raise ModelError(
             f"{model.name}: its loads, {model.loads[0]:g} to {model.loads[-1]:g}, and those of the steps, {first:g} to "
-            f"{last:g}, do not overlap: check the unit (N, m) and the sign, compute further load steps, or choose steps"
+            f"{last:g}, do not overlap: check the unit (N, m) and the sign, compute further load steps, or "
+            "choose steps (--step)"
         )
-    return covered
+    return covered, {step: of_step[step] for step in displaced if step not in covered}
 
 
 def _require_image(image: np.ndarray, experiment: xr.Dataset) -> None:
@@ -253,6 +267,7 @@ class _Comparison:
         levelling: Levelling,
         loads: tuple[float, float],
         image: np.ndarray | None = None,
+        remove_rigid_motion: bool = False,
     ) -> None:
         self._image = image
         self._step, self._placement, self._levelling, self._loads = step, placement, levelling, loads
@@ -260,6 +275,7 @@ class _Comparison:
         self._known = np.isfinite(self._positions).all(axis=0) & np.isfinite(step["u"].values)
         before, after = (model.displacement_at(load) for load in loads)
         self._nodes, self._motion, self._model = model.nodes + before, after - before, model
+        self._remove_rigid_motion = remove_rigid_motion
         self._nodal_strain = model.strain_at(loads[1]) - model.strain_at(loads[0]) if len(model.strain) else None
 
     def result(self) -> xr.Dataset:
@@ -268,6 +284,12 @@ class _Comparison:
         sampled, height, strain = self._sample()
         levelled = self._level(sampled)
         modelled = self._fields(levelled, strain)
+        spatial = [place for place, name in enumerate(measured.names) if name in _DISPLACEMENT]
+        axes = [_DISPLACEMENT.index(measured.names[place]) for place in spatial]
+        displacement = np.stack([self._step[name].values.astype(float) for name in _DISPLACEMENT])
+        rigid = fit_rigid_motion(self._positions, axes, displacement, modelled.values[spatial], sigma.values[spatial])
+        if self._remove_rigid_motion:
+            measured.values[spatial] = rigid.removed(self._positions, displacement)[axes]
         moved = self._changes(levelled, height)
         deviation = np.sqrt(sum((change**2 for change in moved), sigma.values**2))
         difference = measured.values - modelled.values
@@ -285,10 +307,8 @@ class _Comparison:
 
         with ThreadPoolExecutor(_THREADS) as pool:
             agreements = list(pool.map(agreement, range(len(measured.names))))
-        spatial = [place for place, name in enumerate(measured.names) if name in _DISPLACEMENT]
-        axes = [_DISPLACEMENT.index(measured.names[place]) for place in spatial]
         fields = (modelled.values[spatial], difference[spatial], sigma.values[spatial])
-        return self._dataset(maps, measured.names, agreements, estimate_shift(self._positions, axes, *fields))
+        return self._dataset(maps, measured.names, agreements, estimate_shift(self._positions, axes, *fields), rigid)
 
     def placed_by_displacement(self) -> Placement:
         """Return the placement whose undetermined motions fit the displacement best (Gauss-Newton)."""
@@ -407,7 +427,12 @@ class _Comparison:
         ]
 
     def _dataset(
-        self, maps: Mapping[str, np.ndarray], names: tuple[str, ...], agreements: Sequence[Agreement], shift: Shift
+        self,
+        maps: Mapping[str, np.ndarray],
+        names: tuple[str, ...],
+        agreements: Sequence[Agreement],
+        shift: Shift,
+        rigid: RigidMotion,
     ) -> xr.Dataset:
         shape = MAP_DIMENSIONS[1:]
         fields: dict[str, object] = {}
@@ -420,6 +445,8 @@ class _Comparison:
             fields[name] = ("quantity", values, {"units": units, "long_name": long_name})
         for name, long_name in SHIFT.items():
             fields[name] = ((), getattr(shift, name), {"units": "m", "long_name": long_name})
+        for (name, (units, long_name)), value in zip(RIGID_MOTION.items(), rigid.parts, strict=True):
+            fields[name] = ((), value, {"units": units, "long_name": long_name})
         fields["load_of_reference"] = ((), self._loads[0], {"long_name": "load of the model at the reference step"})
         fields["load_of_model"] = ((), self._loads[1], {"long_name": "load that the model was interpolated at"})
         for name in (*signal_names(self._step), "reference_step", "time"):

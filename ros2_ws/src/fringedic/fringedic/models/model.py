@@ -13,8 +13,9 @@ import numpy as np
 
 from fringedic.errors import ModelError
 from fringedic.models.results_table import NodalResults, node_labels, read_results
-from fringedic.wording.arguments import check_arguments, number, one_of, optional, path, several, text
+from fringedic.wording.arguments import check_arguments, number, one_of, optional, path, several, text, whole
 from fringedic.wording.causes import cause_of
+from fringedic.wording.numbers import counted
 from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Model:
     strain : (load, node, 6)
         Strain at the nodes [1]: xx, yy, zz, xy, yz, xz, tensor shear; empty (0, node, 6) if it is to follow from the
         displacement.
+    unit
+        Unit of lengths in the file.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Model:
     loads: np.ndarray
     displacement: np.ndarray
     strain: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 6)))
+    unit: str = "m"
 
     def strain_at(self, load: float) -> np.ndarray:
         """Return the strain at the nodes (node, 6) [1] at a load, as `displacement_at`."""
@@ -99,6 +103,7 @@ class Model:
     strain=optional(text),
     results=several(path),
     loads=optional(several(number(), least=1)),
+    model_step=optional(whole(1)),
 )
 def read_model(
     file: str | os.PathLike[str],
@@ -108,6 +113,8 @@ def read_model(
     strain: str | None = None,
     results: Sequence[str | os.PathLike[str]] = (),
     loads: Sequence[float] | None = None,
+    times_are_loads: bool = False,
+    model_step: int | None = None,
 ) -> Model:
     """Read a mesh of surface or volume elements with the displacement of its nodes.
 
@@ -132,6 +139,10 @@ def read_model(
         column of node labels, ``U1``, ``U2``, ``U3``, and ``E11``, ``E22``, ``E12`` ... with the engineering shear.
     loads
         Force [N] or crosshead position [m] of each load step of the file; by default the times of a ``.pvd``.
+    times_are_loads
+        The times of an Exodus file are its loads [N or m], as those of a ``.pvd`` are.
+    model_step
+        Only this load step of the file, counted from 1.
 
     Returns
     -------
@@ -153,7 +164,7 @@ def read_model(
     array([   0., 1000.])
     """
     source = Path(file)
-    _require_readable(source)
+    require_readable(source)
     if results and source.suffix.lower() != ".inp":
         raise ModelError(f"{source.name}: tables of results belong to an Abaqus .inp; leave them out")
     meshes = _load_steps(source) if source.suffix.lower() in _SERIES_SUFFIXES else {0.0: _read_mesh(source)}
@@ -162,28 +173,48 @@ def read_model(
     else:
         found = [_field_results(mesh, displacement, strain, source.name) for mesh in meshes.values()]
         fields = [each for each in found if each is not None]
-    given = (list(meshes) if loads is None else loads) if fields else []
-    if fields and loads is None and source.suffix.lower() != ".pvd":
+    times = list(meshes)
+    if model_step is not None:
+        if model_step > len(fields):
+            raise ModelError(f"{source.name}: has no load step {model_step}, it has {len(fields)}; choose one of them")
+        fields, times = fields[model_step - 1 : model_step], times[model_step - 1 : model_step]
+    given = (times if loads is None else loads) if fields else []
+    if fields and loads is None and source.suffix.lower() != ".pvd" and not times_are_loads:
         raise ModelError(
-            f"{source.name}: the load of its displacement is unknown, it has {len(fields)} load steps: give "
-            "loads=[...] in N or in m, one for each"
+            f"{source.name}: the load of its displacement is unknown, it has {counted(len(fields), 'load step')}: give "
+            "the load of each (--load in N or mm; in Python loads=[...] in N or m)"
         )
     if len(given) != len(fields) or len(set(given)) != len(given):
         raise ModelError(
-            f"{source.name}: has {len(fields)} load steps with a displacement, and {len(set(given))} different loads "
-            "are given: give one load for each step"
+            f"{source.name}: has {counted(len(fields), 'load step')} with a displacement, and {len(set(given))} "
+            "different loads are given: give one load for each (--load; in Python loads), or choose a step of the file "
+            "(--model-step, model_step)"
         )
     first = next(iter(meshes.values()))
-    return _model(source.name, first, dict(zip(given, fields, strict=True)), UNITS[unit])
+    return _model(source.name, first, dict(zip(given, fields, strict=True)), unit)
 
 
-def _require_readable(source: Path) -> None:
+def require_readable(source: Path) -> None:
+    """Check that a model can be read, as far as its name and size show.
+
+    Raises
+    ------
+    ModelError
+        It cannot.
+    """
     if not source.is_file():
         raise ModelError(f"{source}: no such model file; give a mesh such as model.vtu")
     if source.stat().st_size > _LARGEST_FILE:
         raise ModelError(
             f"{source.name}: has {source.stat().st_size / 1e9:.1f} GB, the limit is 1.1 GB: export only the surface of "
             "the part, or fewer fields"
+        )
+    suffix = source.suffix.lower()
+    known = _VTK_SUFFIXES | _MESHIO_SUFFIXES | _SERIES_SUFFIXES
+    if suffix not in known:
+        raise ModelError(
+            f"{source.name}: {suffix or 'a file without suffix'} is not read; convert it to one of "
+            f"{', '.join(sorted(known))}"
         )
 
 
@@ -206,11 +237,6 @@ def _read_mesh(source: Path) -> pyvista.DataSet:
         import meshio  # type: ignore[import-untyped]
         import pyvista
     suffix = source.suffix.lower()
-    if suffix not in _VTK_SUFFIXES | _MESHIO_SUFFIXES:
-        known = ", ".join(sorted(_VTK_SUFFIXES | _MESHIO_SUFFIXES | _SERIES_SUFFIXES))
-        raise ModelError(
-            f"{source.name}: {suffix or 'a file without suffix'} is not read; convert it to one of {known}"
-        )
     with _damage_named(source):
         mesh = pyvista.read(source) if suffix in _VTK_SUFFIXES else pyvista.from_meshio(meshio.read(source))
     return mesh
@@ -284,11 +310,13 @@ def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.nd
         if np.ndim(mesh.point_data[each]) == 2 and mesh.point_data[each].shape[1] <= 3 and each not in others
     ]
     if name is None and len(vectors) > 1:
-        raise ModelError(f"{source}: has the vector fields {', '.join(vectors)}; name the one of the displacement")
+        raise ModelError(
+            f"{source}: has the vector fields {', '.join(vectors)}; name the one of the displacement (--displacement)"
+        )
     if name is not None and name not in vectors:
         raise ModelError(
             f"{source}: has no vectors {name!r} at its nodes, it has {', '.join(vectors) or 'none'}; export the "
-            "displacement at the nodes, or name one of these"
+            "displacement at the nodes, or name one of these (--displacement)"
         )
     if not vectors:
         return None
@@ -298,8 +326,9 @@ def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.nd
     return np.pad(field, ((0, 0), (0, 3 - field.shape[1])))
 
 
-def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, NodalResults], scale: float) -> Model:
+def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, NodalResults], unit: str) -> Model:
     """Return the model of a mesh with results by load; fields move with the nodes to the surface."""
+    scale = UNITS[unit]
     for load, results in fields.items():
         mesh.point_data[f"{_PREFIX}{load}"] = results.displacement
         if results.strain is not None:
@@ -330,7 +359,7 @@ def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, NodalResults], 
     displacement = np.array(list(moved.values())) if moved else np.empty((0, *nodes.shape))
     strain = np.array(list(strained.values())) if strained else np.empty((0, len(nodes), 6))
     loads = np.array(list(moved), float)
-    return Model(name, nodes, np.ascontiguousarray(triangles), closed, loads, displacement, strain)
+    return Model(name, nodes, np.ascontiguousarray(triangles), closed, loads, displacement, strain, unit)
 
 
 def _surface(name: str, mesh: pyvista.DataSet) -> pyvista.PolyData:

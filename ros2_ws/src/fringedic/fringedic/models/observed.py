@@ -11,9 +11,10 @@ import xarray as xr
 from scipy.ndimage import binary_dilation, label
 
 from fringedic.errors import ModelError
-from fringedic.models.model import Model
+from fringedic.models.model import UNITS, Model
 from fringedic.models.placement import Placement, PointPair, place_model
-from fringedic.wording.arguments import Check, number, one_of, optional, several
+from fringedic.wording.arguments import Check, number, optional, several
+from fringedic.wording.numbers import number_text
 
 Pair = tuple[Sequence[float], Sequence[float]]
 """(column, row) [px of the reference image] of a point, and its (x, y, z) [m] in the frame of the model."""
@@ -21,6 +22,8 @@ Edge = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]]]
 """Two (column, row) [px] on a straight edge, and two (x, y, z) [m] on the same edge of the model."""
 _PLANE_POINTS = 9  # of the plane through a clicked point
 _RIM_POINTS = 8  # around a hole
+_PAIRS_WITH_A_LENGTH = 2  # whose distance shows a wrong unit
+_LARGEST_RATIO = 20.0  # of the sizes of model and surface, of which one may contain a part of the other
 _FARTHEST = 10  # spacings of a clicked point from the next measured one
 
 
@@ -31,7 +34,7 @@ class Features(NamedTuple):
     pair_sigma: float | None = None
     holes: Sequence[Pair] = ()
     edges: Sequence[Edge] = ()
-    start: str = "given"
+    principal_axes: bool = False
 
 
 FEATURE_CHECKS: dict[str, Check] = {
@@ -39,7 +42,6 @@ FEATURE_CHECKS: dict[str, Check] = {
     "pair_sigma": optional(number(1e-9, 1.0)),
     "holes": several(several(several(number()), length=2)),
     "edges": several(several(several(several(number()), length=2), length=2)),
-    "start": one_of("given", "principal axes"),
 }
 
 
@@ -50,6 +52,8 @@ def place_on_step(
     surface = np.stack([step[name].values.astype(float) for name in names])
     distances = np.hypot(*(np.diff(surface[axis], axis=1) for axis in (0, 1)))
     spacing = float(np.nanmedian(distances)) if np.isfinite(distances).any() else np.nan
+    if len(features.pairs) + len(features.holes) < _PAIRS_WITH_A_LENGTH:
+        _require_size(surface, model)
     observed = [PointPair(_measured_at(step, surface, pair[0]), _three(pair[1])) for pair in features.pairs]
     for hole in features.holes:
         centre, sigma = _centre_of_hole(step, surface, hole[0])
@@ -68,7 +72,33 @@ def place_on_step(
         spacing=spacing,
         pair_sigma=features.pair_sigma,
         load=load,
-        start=features.start,
+        start="principal axes" if features.principal_axes else "given",
+    )
+
+
+def _require_size(surface: np.ndarray, model: Model) -> None:
+    """Refuse a model of quite another size than the surface: its unit is wrong. Two point pairs have a length instead.
+
+    Raises
+    ------
+    ModelError
+        The sizes differ too much.
+    """
+    points = surface[:, np.isfinite(surface).all(axis=0)]
+    if not points.size:
+        return
+    seen, size = (
+        2 * float(np.linalg.norm(each - each.mean(axis=1, keepdims=True), axis=0).max())
+        for each in (points, model.nodes.T)
+    )
+    if seen / _LARGEST_RATIO < size < seen * _LARGEST_RATIO:
+        return
+    wanted = UNITS[model.unit] * seen / max(size, 1e-12)
+    unit = min(UNITS, key=lambda each: abs(np.log(UNITS[each] / wanted)))
+    raise ModelError(
+        f"{model.name}: has a size of {number_text(1e3 * size)} mm with lengths in {model.unit}, the measured surface "
+        f"{number_text(1e3 * seen)} mm: check the unit (--unit), perhaps {unit}; a model of this size needs two "
+        "or more point pairs"
     )
 
 

@@ -39,7 +39,36 @@ def agreement_sentences(step: xr.Dataset) -> list[str]:
             f"{name}: {100 * float(found['within_2_sigma']):.1f} % of {int(found['points'])} points within 2 sigma "
             f"(95 % expected of noise); the model times {factor:.4f} ± {2 * sigma:.4f} (95 %) fits best"
         )
-    return [*sentences, *_shift_sentences(step)]
+    return [*sentences, *_shift_sentences(step), *_rigid_sentences(step)]
+
+
+def left_out_sentences(comparison: xr.Dataset) -> list[str]:
+    """Return which steps are not compared because the model has no result at their load."""
+    left_out = json.loads(comparison.attrs.get("left_out", "{}"))
+    if not left_out.get("steps"):
+        return []
+    first, last = left_out["model"]
+    steps = ", ".join(f"{step} ({load:g})" for step, load in left_out["steps"].items())
+    return [
+        f"The model has results between the loads {first:g} and {last:g}; left out are the steps beyond, each with its "
+        f"load: {steps}. Compute further load steps to compare them."
+    ]
+
+
+def _rigid_sentences(step: xr.Dataset) -> list[str]:
+    """Return the rigid motion of the specimen beside the model."""
+    found = [
+        f"{number_text(scale * float(step[name]), 3)} {unit} {way} {axis}"
+        for kind, scale, unit, way in (("translation", 1e3, "mm", "along"), ("rotation", 180 / np.pi, "°", "about"))
+        for axis in "xyz"
+        if np.isfinite(step[name := f"rigid_{kind}_{axis}"])
+    ]
+    if step.attrs.get("rigid_motion") == "removed":
+        return [f"A rigid motion was removed from the measured displacement: {', '.join(found)}."]
+    return [
+        f"The difference contains a rigid motion of the specimen: {', '.join(found)}; --remove-rigid-motion "
+        "(remove_rigid_motion) removes it."
+    ]
 
 
 def _shift_sentences(step: xr.Dataset) -> list[str]:

@@ -43,7 +43,7 @@ def compare_shape(
     pair_sigma: float | None = None,
     holes: Sequence[Pair] = (),
     edges: Sequence[Edge] = (),
-    start: str = "given",
+    principal_axes: bool = False,
     step: int | None = None,
 ) -> xr.Dataset:
     """Compare the measured shape of a step with that of a mesh, such as an STL of the nominal part.
@@ -58,7 +58,7 @@ def compare_shape(
         From `fringedic.open_experiment`, with shape and its uncertainty.
     model
         From `read_model`; a displacement is not used.
-    pairs, pair_sigma, holes, edges, start
+    pairs, pair_sigma, holes, edges, principal_axes
         As in `compare_model`.
     step
         Number of the step; by default the first one with a shape.
@@ -84,7 +84,7 @@ def compare_shape(
     4.1e-05
     """
     chosen = _step_with_shape(experiment, step)
-    placement = place_on_step(chosen, _SHAPE, model, Features(pairs, pair_sigma, holes, edges, start), None)
+    placement = place_on_step(chosen, _SHAPE, model, Features(pairs, pair_sigma, holes, edges, principal_axes), None)
     points = np.stack([chosen[name].values.astype(float) for name in _SHAPE])
     side = seen_side(model, placement)
     found = distances(

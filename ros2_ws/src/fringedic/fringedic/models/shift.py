@@ -103,7 +103,7 @@ def fit_changes(
         The changes (change,) and their covariance, with the correlation of the residuals; None where too few points are
         known or a change is 0.
     """
-    basis = np.stack([*changes, modelled, *_rigid_motions(positions, axes)])
+    basis = np.stack([*changes, modelled, *rigid_motions(positions, axes)])
     known = np.isfinite(difference) & np.isfinite(basis).all(axis=0) & (sigma > 0)
     if np.count_nonzero(known) < 10 * len(basis):
         return None
@@ -124,7 +124,7 @@ def fit_changes(
     return solution[:number] * scale, together * covariance[:number, :number] * np.outer(scale, scale)
 
 
-def _rigid_motions(positions: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+def rigid_motions(positions: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """Return the displacement maps of three translations and of three rotations about the middle of the surface."""
     offsets = positions - np.nanmean(positions, axis=(1, 2), keepdims=True)
     shape = positions.shape[1:]

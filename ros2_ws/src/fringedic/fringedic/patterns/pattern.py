@@ -74,6 +74,10 @@ class ProjectedPattern:
         return f"{self.orientation.name.lower()} fringes, pitch {self.pitch:g} px, shift {self.shift} of {self.shifts}"
 
 
+WHITE = ProjectedPattern(PatternKind.WHITE)
+SETUP = ProjectedPattern(PatternKind.OTHER)  # one of the named set-up patterns
+
+
 class PatternMessage(Protocol):
     """Fields that describe a pattern in an exposure, a request or any other message."""
 

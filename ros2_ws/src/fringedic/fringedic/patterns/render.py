@@ -10,12 +10,12 @@ from fringedic.errors import PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.response import FULL_SCALE, ResponseCurve
 
-DARKEST, BRIGHTEST = 5, 250  # away from both ends of the 8-bit scale, where projectors clip
+DARKEST, BRIGHTEST = 5, 250  # projectors clip at both ends of the 8-bit scale
 SETUP_PATTERNS = ("dark", "grid", "crosshair", "focus")
-_GRID_SPACING = 50  # projector pixels between the lines of the set-up grid
-_FOCUS_TILE = 24  # projector pixels; whole pairs of lines of 1 to 4 px fit into it
-_SMALLEST_PITCH = 2  # projector pixels; a shorter period cannot be sampled (Nyquist)
-_MOST_BITS = 24  # of a Gray code: more than any projector has columns
+_GRID_SPACING = 50  # [px] lies between the lines of the set-up grid
+_FOCUS_TILE = 24  # [px] holds whole pairs of lines of 1 to 4 px
+_SMALLEST_PITCH = 2  # [px]: a shorter period cannot be sampled (Nyquist)
+_MOST_BITS = 24  # number more columns than any projector has
 
 
 def render_pattern(
@@ -60,83 +60,25 @@ def render_pattern(
     """
     check_pattern(pattern, width, height)
     if pattern.kind in (PatternKind.FRINGES, PatternKind.GRAY_CODE):
-        return _stripes(pattern, width, height, response)
+        vertical = pattern.orientation == Orientation.VERTICAL
+        length = width if vertical else height
+        position = np.arange(length) - (length - 1) / 2
+        fringe = (position if vertical else -position) / pattern.pitch
+        if pattern.kind == PatternKind.GRAY_CODE:
+            half_period = np.floor(2 * fringe + 1).astype(int) + (1 << (pattern.shifts - 1))
+            gray = half_period ^ (half_period >> 1)
+            wave = 2.0 * (gray >> (pattern.shifts - pattern.shift) & 1) - 1
+        else:
+            wave = np.cos(2 * np.pi * (fringe - pattern.shift / pattern.shifts))
+        levels = np.asarray((BRIGHTEST + DARKEST) / 2 + (BRIGHTEST - DARKEST) / 2 * wave)
+        if response is not None:
+            levels = response.level_for(levels / FULL_SCALE)
+        line = np.round(levels).astype(np.uint8)
+        return np.ascontiguousarray(np.broadcast_to(line if vertical else line[:, None], (height, width)))
     if pattern.kind == PatternKind.WHITE:
         return np.full((height, width), BRIGHTEST, np.uint8)
     if pattern.kind == PatternKind.GREY:
         return np.full((height, width), round(FULL_SCALE * pattern.shift / pattern.shifts), np.uint8)
-    return _setup_image(name, width, height)
-
-
-def check_pattern(pattern: ProjectedPattern, width: int, height: int) -> None:
-    """Refuse a pattern that a projector of this size [px] cannot show.
-
-    Raises
-    ------
-    PatternError
-        Size, brightness, pitch, shift or number of bits is out of range.
-    """
-    if width < 1 or height < 1:
-        raise PatternError(f"projector of {width}x{height} px: both have to be at least 1")
-    if pattern.kind == PatternKind.GREY:
-        _check_grey(pattern)
-    elif pattern.kind in (PatternKind.FRINGES, PatternKind.GRAY_CODE):
-        if not math.isfinite(pattern.pitch) or pattern.pitch <= _SMALLEST_PITCH:
-            raise PatternError(f"{pattern}: the pitch has to be above {_SMALLEST_PITCH} projector pixels")
-        if pattern.kind == PatternKind.GRAY_CODE:
-            _check_code(pattern, width if pattern.orientation == Orientation.VERTICAL else height)
-        else:
-            _check_shift(pattern)
-
-
-def _check_grey(pattern: ProjectedPattern) -> None:
-    if not 0 <= pattern.shift <= pattern.shifts or pattern.shifts < 1:
-        raise PatternError(f"{pattern}: the brightness has to be from 0 to 1")
-
-
-def _check_code(pattern: ProjectedPattern, length: int) -> None:
-    if not 1 <= pattern.shift <= pattern.shifts or pattern.shifts > _MOST_BITS:
-        raise PatternError(f"{pattern}: bits are counted from 1 to their number, {_MOST_BITS} at most")
-    if length / pattern.pitch + 1 > 1 << (pattern.shifts - 1):
-        raise PatternError(f"{pattern}: {pattern.shifts} bits do not number all fringes on {length} px")
-
-
-def _check_shift(pattern: ProjectedPattern) -> None:
-    if pattern.shifts < 3 and (pattern.shift, pattern.shifts) != (1, 1):
-        raise PatternError(
-            f"{pattern}: at least 3 shifts are needed to separate mean, modulation and phase, "
-            "or shift 1 of 1 for one image"
-        )
-    if pattern.shift < 1:
-        raise PatternError(f"{pattern}: shifts are counted from 1")
-
-
-def _stripes(pattern: ProjectedPattern, width: int, height: int, response: ResponseCurve | None) -> np.ndarray:
-    """Return the image of fringes or of one bit of a Gray code."""
-    levels = _levels(pattern, width, height)
-    if response is not None:
-        levels = response.level_for(levels / FULL_SCALE)
-    line = np.round(levels).astype(np.uint8)
-    vertical = pattern.orientation == Orientation.VERTICAL
-    return np.ascontiguousarray(np.broadcast_to(line if vertical else line[:, None], (height, width)))
-
-
-def _levels(pattern: ProjectedPattern, width: int, height: int) -> np.ndarray:
-    """Return the grey levels of fringes or of one bit of a Gray code along the direction in which they change."""
-    vertical = pattern.orientation == Orientation.VERTICAL
-    length = width if vertical else height
-    position = np.arange(length) - (length - 1) / 2
-    fringe = (position if vertical else -position) / pattern.pitch
-    if pattern.kind == PatternKind.GRAY_CODE:
-        half_period = np.floor(2 * fringe + 1).astype(int) + (1 << (pattern.shifts - 1))
-        gray = half_period ^ (half_period >> 1)
-        wave = 2.0 * (gray >> (pattern.shifts - pattern.shift) & 1) - 1
-    else:
-        wave = np.cos(2 * np.pi * (fringe - pattern.shift / pattern.shifts))
-    return np.asarray((BRIGHTEST + DARKEST) / 2 + (BRIGHTEST - DARKEST) / 2 * wave)
-
-
-def _setup_image(name: str, width: int, height: int) -> np.ndarray:
     image = np.zeros((height, width), np.uint8)
     if name == "grid":
         image[_grid_lines(height), :] = BRIGHTEST
@@ -152,6 +94,38 @@ def _setup_image(name: str, width: int, height: int) -> np.ndarray:
     elif name != "dark":
         raise PatternError(f"set-up pattern '{name}' is unknown: use one of {', '.join(SETUP_PATTERNS)}")
     return image
+
+
+def check_pattern(pattern: ProjectedPattern, width: int, height: int) -> None:
+    """Refuse a pattern that a projector of this size [px] cannot show.
+
+    Raises
+    ------
+    PatternError
+        Size, brightness, pitch, shift or number of bits is out of range.
+    """
+    if width < 1 or height < 1:
+        raise PatternError(f"projector of {width}x{height} px: both have to be at least 1")
+    if pattern.kind == PatternKind.GREY:
+        if not 0 <= pattern.shift <= pattern.shifts or pattern.shifts < 1:
+            raise PatternError(f"{pattern}: the brightness has to be from 0 to 1")
+    elif pattern.kind in (PatternKind.FRINGES, PatternKind.GRAY_CODE):
+        if not math.isfinite(pattern.pitch) or pattern.pitch <= _SMALLEST_PITCH:
+            raise PatternError(f"{pattern}: the pitch has to be above {_SMALLEST_PITCH} projector pixels")
+        if pattern.kind == PatternKind.GRAY_CODE:
+            length = width if pattern.orientation == Orientation.VERTICAL else height
+            if not 1 <= pattern.shift <= pattern.shifts or pattern.shifts > _MOST_BITS:
+                raise PatternError(f"{pattern}: bits are counted from 1 to their number, {_MOST_BITS} at most")
+            if length / pattern.pitch + 1 > 1 << (pattern.shifts - 1):
+                raise PatternError(f"{pattern}: {pattern.shifts} bits do not number all fringes on {length} px")
+        else:
+            if pattern.shifts < 3 and (pattern.shift, pattern.shifts) != (1, 1):
+                raise PatternError(
+                    f"{pattern}: at least 3 shifts are needed to separate mean, modulation and phase, "
+                    "or shift 1 of 1 for one image"
+                )
+            if pattern.shift < 1:
+                raise PatternError(f"{pattern}: shifts are counted from 1")
 
 
 def _grid_lines(length: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from fringedic.wording.arguments import check_value, number, several
 from fringedic.wording.yaml_text import load_yaml
 
 FULL_SCALE = 255  # of the projector
-_LEAST_BRIGHTNESS = 0.02  # of the fit of gamma: below, rounding to 8 bits and noise dominate the logarithm
+_LEAST_BRIGHTNESS = 0.02  # below it, rounding to 8 bits and noise dominate the logarithm that gamma is fitted to
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ResponseCurve:
     def level_for(self, brightness: np.ndarray | float) -> np.ndarray:
         """Return the grey level to show, not rounded, for a relative brightness of 0 to 1 (any shape)."""
         values = np.array(self.brightness)
-        first = np.flatnonzero(np.diff(values, prepend=-1.0) > 0)  # where the curve is flat, its lower end
+        first = np.flatnonzero(np.diff(values, prepend=-1.0) > 0)  # a flat part of the curve keeps its lower end
         return np.asarray(np.interp(brightness, values[first], first.astype(float)))
 
     @property

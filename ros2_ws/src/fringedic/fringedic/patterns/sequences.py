@@ -16,7 +16,7 @@ from fringedic.patterns.render import check_pattern, render_pattern
 from fringedic.patterns.response import ResponseCurve
 from fringedic.wording.arguments import check_arguments, either, number, several, text, whole
 
-MOST_FRAMES = 10_000  # of one pitch or period; a larger number is a typing error
+MOST_FRAMES = 10_000  # a larger number of one pitch or period is a typing error
 FringeOrder = Literal["pitches", "gray_code", "one_image"]
 
 

@@ -15,7 +15,7 @@ from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.phase.demodulation_kernel import Limits, Maps, NoiseModel, Shifts, measure_stack
-from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
+from fringedic.phase.layout import check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.noise import estimate_noise
 from fringedic.wording.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 
@@ -180,46 +180,35 @@ def _measure(
     phase, sigma, modulation, texture = (np.empty(shape, np.float32) for _ in range(4))
     maps = Maps(phase, sigma, modulation, texture, np.empty(shape, np.bool_))
     frames = np.ascontiguousarray(frames)
+    fringes = patterns[layout.code :]
+    angles, pitches = shift_angles(fringes), layout.pitches
+    camera, of_pixels = CameraNoise(ROUNDING_NOISE), np.empty((0, 0), np.float32)
+    if isinstance(known, CameraNoise):
+        camera = known
+    elif isinstance(known, np.ndarray):
+        if known.shape != shape:
+            raise ImageError(f"noise of {known.shape} pixels for frames of {shape}")
+        of_pixels = np.ascontiguousarray(known, np.float32) ** 2
+    elif known is not None:
+        camera = CameraNoise(known)
     measure_stack(
         frames[layout.code :],
         frames[: layout.code],
-        _shifts(layout, patterns[layout.code :]),
-        _noise_model(known, shape),
+        Shifts(
+            pitch_of=np.repeat(np.arange(len(pitches)), layout.counts),
+            sine=np.sin(angles).astype(np.float32),
+            cosine=np.cos(angles).astype(np.float32),
+            frames=np.array(layout.counts, np.float32),
+            ratio=np.array(
+                [coarse / fine for coarse, fine in zip(pitches[:1] + pitches, pitches, strict=False)], np.float32
+            ),
+        ),
+        NoiseModel(np.float32(camera.read**2), np.float32(camera.shot), of_pixels),
         Limits(np.float32(minimum_modulation), np.float32(saturation_level(frames, saturation))),
         maps,
     )
     if known is None:
         maps.sigma.fill(np.nan)
-    return _dataset(maps)
-
-
-def _shifts(layout: Layout, fringes: Sequence[ProjectedPattern]) -> Shifts:
-    angles, pitches = shift_angles(fringes), layout.pitches
-    return Shifts(
-        pitch_of=np.repeat(np.arange(len(pitches)), layout.counts),
-        sine=np.sin(angles).astype(np.float32),
-        cosine=np.cos(angles).astype(np.float32),
-        frames=np.array(layout.counts, np.float32),
-        ratio=np.array(
-            [coarse / fine for coarse, fine in zip(pitches[:1] + pitches, pitches, strict=False)], np.float32
-        ),
-    )
-
-
-def _noise_model(noise: CameraNoise | float | np.ndarray | None, shape: tuple[int, ...]) -> NoiseModel:
-    camera, of_pixels = CameraNoise(ROUNDING_NOISE), np.empty((0, 0), np.float32)
-    if isinstance(noise, CameraNoise):
-        camera = noise
-    elif isinstance(noise, np.ndarray):
-        if noise.shape != shape:
-            raise ImageError(f"noise of {noise.shape} pixels for frames of {shape}")
-        of_pixels = np.ascontiguousarray(noise, np.float32) ** 2
-    elif noise is not None:
-        camera = CameraNoise(noise)
-    return NoiseModel(np.float32(camera.read**2), np.float32(camera.shot), of_pixels)
-
-
-def _dataset(maps: Maps) -> xr.Dataset:
     image = ("row", "column")
     return xr.Dataset(
         {

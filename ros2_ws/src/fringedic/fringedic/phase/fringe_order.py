@@ -59,7 +59,7 @@ def unwrap_hierarchical(wrapped: Sequence[np.ndarray | xr.DataArray], pitches: S
     phase = images[0]
     for image, coarse, fine in zip(images[1:], pitches, pitches[1:], strict=False):
         phase = image + 2 * np.pi * np.round((phase * coarse / fine - image) / (2 * np.pi))
-    return _named(phase, relative=False)
+    return _label(phase, relative=False)
 
 
 @check_arguments(ImageError, wrapped=array(2))
@@ -105,10 +105,11 @@ def unwrap_spatial(wrapped: np.ndarray | xr.DataArray) -> xr.DataArray:
         window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         inside = region[window]
         part = np.where(inside, image[window], np.nan)
-        orders = _orders_over_image(part) if _jumps(part) else np.zeros(part.shape)
+        jumps = any((np.abs(np.diff(part, axis=axis)) > np.pi).any() for axis in (0, 1))
+        orders = _orders_over_image(part) if jumps else np.zeros(part.shape)
         orders -= np.round(np.median((orders + part / (2 * np.pi))[inside]))
         phase[window] = part + 2 * np.pi * orders
-    return _named(phase, relative=True)
+    return _label(phase, relative=True)
 
 
 def assign_orders(phase: np.ndarray | xr.DataArray, coarse: np.ndarray | xr.DataArray) -> xr.DataArray:
@@ -139,12 +140,7 @@ def assign_orders(phase: np.ndarray | xr.DataArray, coarse: np.ndarray | xr.Data
     image, known = np.asarray(phase, float), np.asarray(coarse, float)
     if image.shape != known.shape:
         raise ImageError(f"a phase of shape {image.shape} cannot take its orders from one of {known.shape}")
-    return _named(image + 2 * np.pi * np.round((known - image) / (2 * np.pi)), relative=False)
-
-
-def _jumps(wrapped: np.ndarray) -> bool:
-    """Return whether any two neighbours differ by more than half a turn."""
-    return any(bool((np.abs(np.diff(wrapped, axis=axis)) > np.pi).any()) for axis in (0, 1))
+    return _label(image + 2 * np.pi * np.round((known - image) / (2 * np.pi)), relative=False)
 
 
 def _orders_over_image(wrapped: np.ndarray) -> np.ndarray:
@@ -159,7 +155,7 @@ def _orders_over_image(wrapped: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(known, np.round((unwrapped - wrapped) / (2 * np.pi)), 0.0))
 
 
-def _named(phase: np.ndarray, *, relative: bool) -> xr.DataArray:
+def _label(phase: np.ndarray, *, relative: bool) -> xr.DataArray:
     return xr.DataArray(
         phase,
         dims=("row", "column"),

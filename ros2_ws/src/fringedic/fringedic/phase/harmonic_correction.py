@@ -21,15 +21,15 @@ import xarray as xr
 from fringedic.patterns.pattern import Orientation
 
 # test_harmonic_correction.py fixes these limits
-_SAMPLES = 5000  # pixels: of a noise of 0.002 fringe, 0.00003 remain
+_SAMPLES = 5000  # so many pixels leave 0.00003 of a noise of 0.002 fringe
 _FEWEST = 500  # pixels
 # Eighths of a period of the error between the differences, at least so many px; an error of a period of one of these
 # steps has none over that step, and small parts of a period have little.
 _STEPS = (1, 2, 3, 5)
 _SHARED = 6  # neighbouring differences 1, -2, 1 have noise in common: as much information as a sixth of them at least
-_OUTLIER = 6.0  # times the median difference: steps of the surface
+_OUTLIER = 6.0  # a step of the surface exceeds the median difference so many times
 _ROUNDS = 8  # of Newton's method; rho = 0.3 takes five, a small one two
-_CHANGE = 1e-5  # of rho or of the phase [rad], below which they end
+_CHANGE = 1e-5  # the rounds end when rho and the phase [rad] change by less
 _LARGEST_SIGMA = 0.003  # of rho, 0.0003 fringe; an error that is less well known is not stated,
 _LARGEST_PART = 0.05  # unless it is known to this part of itself
 
@@ -112,28 +112,19 @@ def fit_harmonic_error(phase: xr.DataArray, shifts: int, orientation: Orientatio
     if not inner.size or lines.shape[1] < 2:
         return HarmonicError(shifts, math.nan)
     middle = lines[inner].astype(float)
-    steps = _steps(middle, shifts)
+    growth = np.abs(_wrap(np.diff(middle, axis=1)))
+    growth = growth[np.isfinite(growth)]
+    period = 2 * np.pi / max(shifts * float(np.median(growth)), 1e-3) if growth.size else 1.0
+    steps = [round(step * max(period / 8, 1.0)) for step in _STEPS]
     if lines.shape[1] <= 2 * steps[-1]:
         return HarmonicError(shifts, math.nan)
-    beside = middle + 0.5 * (_wrapped(lines[inner - 1] - middle) + _wrapped(lines[inner + 1] - middle))
-    seen = _wrapped(_differences(middle, steps))
+    beside = middle + 0.5 * (_wrap(lines[inner - 1] - middle) + _wrap(lines[inner + 1] - middle))
+    seen = _wrap(_differences(middle, steps))
     known = np.isfinite(seen) & np.isfinite(_differences(beside, steps))
     if known.sum() < _FEWEST * len(steps):
         return HarmonicError(shifts, math.nan)
     known &= np.abs(seen) <= _OUTLIER * np.median(np.abs(seen[known]))
-    return _fit(beside, seen[known], known, steps, shifts)
-
-
-def _steps(lines: np.ndarray, shifts: int) -> list[int]:
-    """Return the distances of the differences [px]."""
-    growth = np.abs(_wrapped(np.diff(lines, axis=1)))
-    growth = growth[np.isfinite(growth)]
-    period = 2 * np.pi / max(shifts * float(np.median(growth)), 1e-3) if growth.size else 1.0
-    return [round(step * max(period / 8, 1.0)) for step in _STEPS]
-
-
-def _fit(beside: np.ndarray, seen: np.ndarray, known: np.ndarray, steps: list[int], shifts: int) -> HarmonicError:
-    """Fit rho to second differences by the Gauss-Newton method."""
+    seen = seen[known]
     error = HarmonicError(shifts, 0.0)
     for _ in range(_ROUNDS):
         true = error.correct(beside)
@@ -156,5 +147,5 @@ def _differences(lines: np.ndarray, steps: list[int]) -> np.ndarray:
     return np.concatenate(parts, axis=1)
 
 
-def _wrapped(angle: np.ndarray) -> np.ndarray:
+def _wrap(angle: np.ndarray) -> np.ndarray:
     return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))

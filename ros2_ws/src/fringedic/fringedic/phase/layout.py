@@ -94,25 +94,22 @@ def layout_of(patterns: Sequence[ProjectedPattern]) -> Layout:
                 code=ErrorCode.INVALID_SEQUENCE,
             )
     if code:
-        _check_code(code, periods)
+        if len(periods) != 1:
+            raise PhaseError(
+                f"a Gray code numbers the fringes of one pitch, there are {len(periods)}",
+                code=ErrorCode.INVALID_SEQUENCE,
+            )
+        if {each.pitch for each in code} != {periods[0][0].pitch}:
+            raise PhaseError(
+                "the Gray code is made for another pitch than that of the fringes", code=ErrorCode.INVALID_SEQUENCE
+            )
+        if [each.shift for each in code] != list(range(1, code[0].shifts + 1)) or len(code) < 2:
+            bits = ", ".join(str(each.shift) for each in code)
+            raise PhaseError(
+                f"Gray code: bits {bits}, expected every bit from 1 to {code[0].shifts} in order",
+                code=ErrorCode.INVALID_SEQUENCE,
+            )
     return Layout(len(code), periods)
-
-
-def _check_code(code: list[ProjectedPattern], periods: tuple[tuple[ProjectedPattern, ...], ...]) -> None:
-    if len(periods) != 1:
-        raise PhaseError(
-            f"a Gray code numbers the fringes of one pitch, there are {len(periods)}", code=ErrorCode.INVALID_SEQUENCE
-        )
-    if {each.pitch for each in code} != {periods[0][0].pitch}:
-        raise PhaseError(
-            "the Gray code is made for another pitch than that of the fringes", code=ErrorCode.INVALID_SEQUENCE
-        )
-    if [each.shift for each in code] != list(range(1, code[0].shifts + 1)) or len(code) < 2:
-        shown = ", ".join(str(each.shift) for each in code)
-        raise PhaseError(
-            f"Gray code: bits {shown}, expected every bit from 1 to {code[0].shifts} in order",
-            code=ErrorCode.INVALID_SEQUENCE,
-        )
 
 
 def check_finer(pitches: Sequence[float]) -> None:

@@ -27,7 +27,7 @@ from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 # Part of the lines across the fringes in which the phase jumps by a turn. One fringe that covers the view makes no jump
 # but at a few lines with noise or edges; fringes that repeat jump on every line.
 _AMBIGUOUS_LINES = 0.05
-_LINES = 240  # that are looked at: 12 of them are enough
+_LINES = 240  # are looked at: 12 of them are enough
 # Part of a coarsest fringe by which the absolute phase jumps where this fringe repeats; a step of the surface shifts
 # the fringes by less, because the coarsest one covers the view.
 _REPETITION = 0.75
@@ -101,7 +101,15 @@ def measure_phase(
             remarks = _check(exposures, settings)
             result = phase.result()
         remarks += _settle_orders(result, exposures[0], settings.accept_relative)
-        remarks += _settle_harmonics(result, exposures[0].patterns[-1], settings)
+        pattern = exposures[0].patterns[-1]
+        error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
+        if settings.correct_harmonics:
+            result.phase.values[...] = error.correct(result.phase.values)
+            error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
+        result.phase.attrs["harmonic_error"] = error.rms
+        if error.rms > settings.largest_error:
+            limit = settings.largest_error
+            remarks.append(Finding(FindingKind.HARMONICS, patterns=(pattern,), value=error.rms, limit=limit))
     if settings.lens_blur > 0:
         corrected = correct_lens_blur(result.phase, result.modulation, settings.lens_blur)
         result["phase"] = result.phase.copy(data=corrected)
@@ -173,18 +181,6 @@ def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) 
     except PhaseError as error:
         raise StepError(f"frame {number}: {error}", index=number, code=ErrorCode.WRONG_PATTERN) from error
     return result, [Finding(FindingKind.RELATIVE_ONE_IMAGE, patterns=(shown,))]
-
-
-def _settle_harmonics(result: xr.Dataset, pattern: ProjectedPattern, settings: PhaseSettings) -> list[Finding]:
-    """Measure the error by the harmonics of the response, and correct it if the settings ask for it."""
-    error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
-    if settings.correct_harmonics:
-        result.phase.values[...] = error.correct(result.phase.values)
-        error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
-    result.phase.attrs["harmonic_error"] = error.rms
-    if not error.rms > settings.largest_error:
-        return []
-    return [Finding(FindingKind.HARMONICS, patterns=(pattern,), value=error.rms, limit=settings.largest_error)]
 
 
 def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[Finding]:

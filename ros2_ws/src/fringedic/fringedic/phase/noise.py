@@ -17,9 +17,9 @@ from fringedic.phase.layout import check_frames, layout_of, shift_angles
 from fringedic.phase.sinusoids import fit_wave, remove_harmonics, wave_levels
 
 # test_noise_is_estimated_from_the_stack: with so many pixels and classes read noise errs by less than 6 %, shot by 10 %
-_SAMPLES = 15_000  # pixels from which the noise is estimated
+_SAMPLES = 15_000  # the noise is estimated from so many pixels
 _LEVELS = 16  # brightness classes of that estimate
-_NOISE_PIXELS = 60_000  # of each exposure, of which the estimate takes its sample
+_NOISE_PIXELS = 60_000  # the estimate takes its sample from so many pixels of each exposure
 
 
 def estimate_noise(

@@ -23,9 +23,9 @@ from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
 from fringedic.phase.layout import pixels
 
 # test_one_image_gives_the_phase and test_an_image_without_fringes_is_refused fix these limits
-_SHORTEST_PERIOD = 4.0  # camera pixels; of shorter fringes the window contains less than two samples per period
-_FEWEST_FRINGES = 4  # in view; shading of the surface has fewer periods
-_DEGREE = 3  # of the polynomial course of the phase over the image: perspective and curvature
+_SHORTEST_PERIOD = 4.0  # [px]: the window contains less than two samples per period of shorter fringes
+_FEWEST_FRINGES = 4  # shading of the surface has fewer periods in view
+_DEGREE = 3  # a polynomial of this degree follows perspective and curvature
 _CONTRAST = 6.0  # of the fringes' peak over the median of the spectrum on its ring
 _TINY = np.float32(1e-6)  # avoids divisions by zero outside of the measured area
 
@@ -97,7 +97,19 @@ def one_image_phase(
     """
     if white is not None and white.shape != image.shape:
         raise ImageError(f"the white image is {white.shape}, the fringe image {image.shape}")
-    scene = _relief(image, white, noise if noise is not None else CameraNoise(ROUNDING_NOISE), saturation)
+    camera = noise if noise is not None else CameraNoise(ROUNDING_NOISE)
+    levels = image.astype(np.float32)
+    measured = levels < saturation_level(image, saturation)
+    levels[~np.isfinite(levels)] = 0.0  # where all merged exposures saturate
+    if white is None:
+        scene = _Scene(levels, None, levels, measured)
+    else:
+        light = white.astype(np.float32)
+        light[~np.isfinite(light)] = 0.0
+        measured &= (light < saturation_level(white, saturation)) & (
+            light > CONFIDENCE * np.sqrt(camera.variance(light))
+        )
+        scene = _Scene(levels, light, levels / np.where(measured, light, np.float32(1)), measured)
     if not scene.measured.any():
         raise PhaseError("no fringes: every pixel is dark or saturates", code=ErrorCode.NO_FRINGES)
     frequency = _carrier(scene.relief, scene.weight, orientation)
@@ -105,10 +117,34 @@ def one_image_phase(
     valid = scene.measured & (fringes.sigma < 1 / CONFIDENCE) & (fringes.coverage > 0.5)
 
     residual = np.where(valid, np.angle(fringes.amplitude), np.nan)
-    phase = _with_orders(residual, fringes.wave, shift_angle, coarse)
+    if coarse is not None:
+        phase = assign_orders(residual + fringes.wave + shift_angle, coarse)
+    else:
+        unwrapped = unwrap_spatial(residual)
+        phase = unwrapped.copy(data=unwrapped.values + fringes.wave + shift_angle)
     modulation = 2 * np.abs(fringes.amplitude) * (scene.light if scene.light is not None else 1)
     texture = scene.light if scene.light is not None else _without_fringes(scene, fringes)
-    return _dataset(phase, fringes.sigma, modulation, texture, valid & np.isfinite(phase.values))
+    valid = valid & np.isfinite(phase.values)
+    dimensions = ("row", "column")
+    relative = phase.attrs["relative"]
+    return xr.Dataset(
+        {
+            "phase": (
+                dimensions,
+                phase.values.astype(np.float32),
+                {"units": "rad", "long_name": "phase of the fringes", "relative": relative},
+            ),
+            "sigma": (
+                dimensions,
+                np.where(valid, fringes.sigma, np.nan).astype(np.float32),
+                {"units": "rad", "long_name": "standard deviation of the phase"},
+            ),
+            "modulation": (dimensions, modulation.astype(np.float32), {"units": "grey level"}),
+            "texture": (dimensions, texture.astype(np.float32), {"units": "grey level"}),
+            "valid": (dimensions, valid, {"long_name": "where the phase is measured"}),
+        },
+        coords=pixels(valid.shape),
+    )
 
 
 @dataclass(frozen=True)
@@ -136,19 +172,6 @@ class _Fringes:
     period: float
 
 
-def _relief(image: np.ndarray, white: np.ndarray | None, camera: CameraNoise, saturation: float | None) -> _Scene:
-    """Return the fringe image divided by the white one, and the pixels that are measured."""
-    levels = image.astype(np.float32)
-    measured = levels < saturation_level(image, saturation)
-    levels[~np.isfinite(levels)] = 0.0  # where all merged exposures saturate
-    if white is None:
-        return _Scene(levels, None, levels, measured)
-    light = white.astype(np.float32)
-    light[~np.isfinite(light)] = 0.0
-    measured &= (light < saturation_level(white, saturation)) & (light > CONFIDENCE * np.sqrt(camera.variance(light)))
-    return _Scene(levels, light, levels / np.where(measured, light, np.float32(1)), measured)
-
-
 def _windowed_phase(scene: _Scene, frequency: tuple[float, float], window: float) -> _Fringes:
     """Demodulate with a plane wave, then with the wave of that phase and the final window."""
     weight = scene.weight
@@ -166,41 +189,6 @@ def _windowed_phase(scene: _Scene, frequency: tuple[float, float], window: float
     variance = _smooth(leakage * weight, 2 * period) / np.maximum(_smooth(weight, 2 * period), _TINY)
     sigma = np.sqrt(variance / 2) / np.maximum(np.abs(amplitude), np.float32(1e-12))
     return _Fringes(wave, amplitude, sigma, _smooth(weight, deviation), period)
-
-
-def _with_orders(
-    residual: np.ndarray, wave: np.ndarray, shift_angle: float, coarse: np.ndarray | xr.DataArray | None
-) -> xr.DataArray:
-    """Return the phase [rad] with the orders of a coarse phase, or unwrapped over the image."""
-    if coarse is not None:
-        return assign_orders(residual + wave + shift_angle, coarse)
-    unwrapped = unwrap_spatial(residual)
-    return unwrapped.copy(data=unwrapped.values + wave + shift_angle)
-
-
-def _dataset(
-    phase: xr.DataArray, sigma: np.ndarray, modulation: np.ndarray, texture: np.ndarray, valid: np.ndarray
-) -> xr.Dataset:
-    image = ("row", "column")
-    relative = phase.attrs["relative"]
-    return xr.Dataset(
-        {
-            "phase": (
-                image,
-                phase.values.astype(np.float32),
-                {"units": "rad", "long_name": "phase of the fringes", "relative": relative},
-            ),
-            "sigma": (
-                image,
-                np.where(valid, sigma, np.nan).astype(np.float32),
-                {"units": "rad", "long_name": "standard deviation of the phase"},
-            ),
-            "modulation": (image, modulation.astype(np.float32), {"units": "grey level"}),
-            "texture": (image, texture.astype(np.float32), {"units": "grey level"}),
-            "valid": (image, valid, {"long_name": "where the phase is measured"}),
-        },
-        coords=pixels(valid.shape),
-    )
 
 
 def _smooth(values: np.ndarray, deviation: float) -> np.ndarray:

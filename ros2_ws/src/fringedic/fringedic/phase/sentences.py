@@ -9,7 +9,7 @@ from fringedic.phase.findings import Finding, FindingKind
 
 _LAG = "settle_ms is shorter than the projector's delay (fringedic timing measures it)"
 _RAISE = "raise settle_ms above the projector's delay (fringedic timing measures it)"
-_SAME_PITCH = 0.1  # relative difference below which fringes of a pitch are displaced, not of another pitch
+_SAME_PITCH = 0.1  # fringes whose pitch differs by less are displaced, not of another pitch
 
 
 def describe(finding: Finding) -> str:
@@ -33,60 +33,12 @@ def _saturated(finding: Finding) -> str:
     return f"{words}: shorten the exposure, close the aperture or dim the projector" if finding.fault else words
 
 
-def _dark(finding: Finding) -> str:
-    return (
-        f"the image is dark, grey level {finding.value:.1f} at most pixels: check that the projector is on, the lens "
-        "open, the exposure long enough and settle_ms longer than the projector's delay (fringedic timing measures it)"
-    )
-
-
-def _frozen(finding: Finding) -> str:
-    return (
-        f"all frames of pitch {finding.patterns[0].pitch:g} px show the same image: the projector does not change its "
-        "pattern, or its delay exceeds settle_ms (fringedic timing measures the delay)"
-    )
-
-
 def _interchanged(finding: Finding) -> str:
     first, second = finding.frames
     patterns = " and ".join(str(each) for each in finding.patterns)
     return (
         f"frames {first} and {second} are interchanged ({patterns}): frames are out of order, or some show an earlier "
         f"pattern because {_LAG}"
-    )
-
-
-def _late(_: Finding) -> str:
-    return (
-        "every frame shows the pattern of the frame before: the camera is one frame ahead of the projector; " + _RAISE
-    )
-
-
-def _doubled(finding: Finding) -> str:
-    return (
-        f"frame {finding.frames[0]} shows the pattern of the frame before, and all frames after it are late by one: a "
-        f"frame was delivered twice, or {_LAG}"
-    )
-
-
-def _missing(finding: Finding) -> str:
-    return (
-        f"frame {finding.frames[0]} is missing: it and all frames after it show the pattern of the frame after; the "
-        f"camera or its driver dropped a frame, or {_LAG}"
-    )
-
-
-def _partly_late(finding: Finding) -> str:
-    return (
-        f"every frame shows {finding.value:.0%} of the pattern before: its exposure begins before the projector has "
-        f"changed; {_RAISE}"
-    )
-
-
-def _other_pattern(finding: Finding) -> str:
-    return (
-        f"frame {finding.frames[0]} does not show its pattern ({finding.patterns[0]}): the projector showed another "
-        f"one, or the frame was taken while the pattern changed, because {_LAG}"
     )
 
 
@@ -123,67 +75,63 @@ def _unidentified_frame(finding: Finding) -> str:
     )
 
 
-def _code_disagrees(finding: Finding) -> str:
-    return (
+_WORDS: dict[FindingKind, Callable[[Finding], str]] = {
+    FindingKind.SATURATED: _saturated,
+    FindingKind.DARK: lambda finding: (
+        f"the image is dark, grey level {finding.value:.1f} at most pixels: check that the projector is on, the lens "
+        "open, the exposure long enough and settle_ms longer than the projector's delay (fringedic timing measures it)"
+    ),
+    FindingKind.FROZEN: lambda finding: (
+        f"all frames of pitch {finding.patterns[0].pitch:g} px show the same image: the projector does not change its "
+        "pattern, or its delay exceeds settle_ms (fringedic timing measures the delay)"
+    ),
+    FindingKind.INTERCHANGED: _interchanged,
+    FindingKind.LATE: lambda _: (
+        "every frame shows the pattern of the frame before: the camera is one frame ahead of the projector; " + _RAISE
+    ),
+    FindingKind.DOUBLED: lambda finding: (
+        f"frame {finding.frames[0]} shows the pattern of the frame before, and all frames after it are late by one: a "
+        f"frame was delivered twice, or {_LAG}"
+    ),
+    FindingKind.MISSING: lambda finding: (
+        f"frame {finding.frames[0]} is missing: it and all frames after it show the pattern of the frame after; the "
+        f"camera or its driver dropped a frame, or {_LAG}"
+    ),
+    FindingKind.PARTLY_LATE: lambda finding: (
+        f"every frame shows {finding.value:.0%} of the pattern before: its exposure begins before the projector has "
+        f"changed; {_RAISE}"
+    ),
+    FindingKind.OTHER_PATTERN: lambda finding: (
+        f"frame {finding.frames[0]} does not show its pattern ({finding.patterns[0]}): the projector showed another "
+        f"one, or the frame was taken while the pattern changed, because {_LAG}"
+    ),
+    FindingKind.UNRELATED_PITCH: _unrelated_pitch,
+    FindingKind.UNIDENTIFIED_FRAME: _unidentified_frame,
+    FindingKind.CODE_DISAGREES: lambda finding: (
         f"Gray code and fringes disagree at {finding.value:.0%} of the image: the projector showed other patterns than "
         f"recorded, or {_LAG}"
-    )
-
-
-def _flicker(finding: Finding) -> str:
-    return (
+    ),
+    FindingKind.FLICKER: lambda finding: (
         f"the light changes by {finding.light_change:.1%} between the frames (flicker), which causes a phase error of "
         f"{finding.value:.4f} fringe"
-    ).replace("%", " %", 1)
-
-
-def _motion_across(finding: Finding) -> str:
-    return f"the surface moved by {finding.value:.2f} px across the image while its frames were taken"
-
-
-def _motion_along(finding: Finding) -> str:
-    return (
+    ).replace("%", " %", 1),
+    FindingKind.MOTION_ACROSS: lambda finding: (
+        f"the surface moved by {finding.value:.2f} px across the image while its frames were taken"
+    ),
+    FindingKind.MOTION_ALONG: lambda finding: (
         "the surface moved along the projector's light while its frames were taken: the fringes shift by "
         f"{finding.value:.4f} fringe"
-    )
-
-
-def _harmonics(finding: Finding) -> str:
-    return (
+    ),
+    FindingKind.HARMONICS: lambda finding: (
         f"the response of projector and camera is not linear: with {finding.patterns[0].shifts} shifts its harmonics "
         f"cause a phase error of {finding.value:.4f} fringe RMS; measure the response curve (fringedic response), "
         "show more shifts or set correct_harmonics"
-    )
-
-
-def _relative_one_image(_: Finding) -> str:
-    return "the phase of one image is relative: true up to the same number of whole fringes everywhere"
-
-
-def _relative_one_pitch(finding: Finding) -> str:
-    return (
+    ),
+    FindingKind.RELATIVE_ONE_IMAGE: lambda _: (
+        "the phase of one image is relative: true up to the same number of whole fringes everywhere"
+    ),
+    FindingKind.RELATIVE_ONE_PITCH: lambda finding: (
         f"the phase of one pitch of {finding.patterns[0].pitch:g} px is relative: unwrapped over the image, true up to "
         "whole fringes, and wrong behind steps and shadows"
-    )
-
-
-_WORDS: dict[FindingKind, Callable[[Finding], str]] = {
-    FindingKind.SATURATED: _saturated,
-    FindingKind.DARK: _dark,
-    FindingKind.FROZEN: _frozen,
-    FindingKind.INTERCHANGED: _interchanged,
-    FindingKind.LATE: _late,
-    FindingKind.DOUBLED: _doubled,
-    FindingKind.MISSING: _missing,
-    FindingKind.PARTLY_LATE: _partly_late,
-    FindingKind.OTHER_PATTERN: _other_pattern,
-    FindingKind.UNRELATED_PITCH: _unrelated_pitch,
-    FindingKind.UNIDENTIFIED_FRAME: _unidentified_frame,
-    FindingKind.CODE_DISAGREES: _code_disagrees,
-    FindingKind.FLICKER: _flicker,
-    FindingKind.MOTION_ACROSS: _motion_across,
-    FindingKind.MOTION_ALONG: _motion_along,
-    FindingKind.HARMONICS: _harmonics,
-    FindingKind.RELATIVE_ONE_IMAGE: _relative_one_image,
-    FindingKind.RELATIVE_ONE_PITCH: _relative_one_pitch,
+    ),
 }

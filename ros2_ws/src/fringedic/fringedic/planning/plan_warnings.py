@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fringedic.configuration.sections import FINEST_DEFAULT_PITCH_PX
 from fringedic.patterns.pattern import Orientation
 from fringedic.planning.planned_patch import PatchUncertainty
 from fringedic.planning.planned_rig import PlannedRig, pixel_ripple
 from fringedic.rig_setup.settings_warnings import LARGEST_FEATURE, SMALLEST_FEATURE
 from fringedic.rig_setup.window_choice import USUAL_FEATURES
+from fringedic.settings.experiment import FINEST_DEFAULT_PITCH_PX
 
 LEAST_FRINGE = 6.0  # [camera px] three times the Nyquist limit: a pixel still passes 95 % of the modulation
 LEAST_MODULATION = 0.8  # at the edges of the field over that in focus

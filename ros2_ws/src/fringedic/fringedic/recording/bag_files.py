@@ -24,6 +24,7 @@ from fringedic.recording.mcap_scan import has_chunk, scan_file
 
 BAG = "bag"  # of a run
 METADATA = "metadata.yaml"
+STORED = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")  # ends of the names of files with messages
 
 
 class BagFiles(NamedTuple):
@@ -69,8 +70,20 @@ def recording_of(path: Path) -> Path:
 
 
 def recorded_bytes(path: Path) -> int:
-    """Return the size of the MCAP files of a recording [byte]; 0 if there is none."""
-    return sum(file.stat().st_size for file in ([path] if path.is_file() else path.glob("*.mcap")))
+    """Return the size of the files with the messages of a recording [byte]; 0 if there is none."""
+    files = [path] if path.is_file() else [file for file in path.glob("*") if file.name.endswith(STORED)]
+    return sum(file.stat().st_size for file in files)
+
+
+def convert_command(path: Path) -> str:
+    """Return the command that writes a recording of other storage as MCAP; it is installed with fringedic.
+
+    Examples
+    --------
+    >>> convert_command(Path("plate-7.bag"))
+    'rosbags-convert --src plate-7.bag --dst plate-7_mcap --dst-storage mcap'
+    """
+    return f"rosbags-convert --src {path} --dst {path.with_name(f'{path.stem}_mcap')} --dst-storage mcap"
 
 
 def numbered_parts(bag: Path) -> dict[int, Path]:
@@ -127,7 +140,7 @@ def find_files(path: Path) -> BagFiles:
     others.sort(key=lambda file: [int(number) for number in re.findall(r"\d+", file.stem)])
     present = list(dict.fromkeys([*found, *others]))
     if not present:
-        raise RecordingError(f"{path}: holds no .mcap file; convert other storage with 'ros2 bag convert'")
+        raise RecordingError(f"{path}: holds no .mcap file; convert other storage: {convert_command(path)}")
     missing = [name for name in listed if path / name not in present]
     unlisted = [] if metadata.files is None else [file.name for file in others if file.name not in listed]
     return BagFiles(present, missing, metadata.counts, metadata.damage, unlisted)
@@ -165,7 +178,7 @@ def _refuse_compression(path: Path, metadata: _Metadata) -> None:
     if metadata.compression.upper() not in ("", "NONE"):
         raise RecordingError(
             f"{path}: its messages are compressed by rosbag2 (compression_mode {metadata.compression}); "
-            "convert it with 'ros2 bag convert'"
+            f"convert it: {convert_command(path)}"
         )
 
 

@@ -11,6 +11,9 @@ from math import nan
 from types import SimpleNamespace
 from typing import Any
 
+from fringedic.frames.sensor import SENSOR
+
+_OF_A_SENSOR = {f"fringedic_msgs/msg/{name}" for name in ("Exposure", "NodeStatus", "RigCalibration")}
 _LENS_BLUR = re.compile(r"lens blur (\S+) px")
 _RMS = {"phase": "phase_sigma", "dic": "rms_displacement_px", "coupling": "rms_displacement"}
 
@@ -25,6 +28,8 @@ def translate(type_name: str, message: Any) -> None:
     message
         The message; it is changed.
     """
+    if type_name in _OF_A_SENSOR and not hasattr(message, "sensor"):
+        message.sensor = SENSOR
     if type_name in _TRANSLATIONS:
         _TRANSLATIONS[type_name](message)
 

@@ -14,9 +14,8 @@ from fringedic.frames.pairing import FramePairs
 from fringedic.frames.records import FrameRecord, frame_record, stamp_of
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import EXPOSURE, IMAGE
 
-IMAGE = "camera/image_raw"
-EXPOSURE = "camera/exposure"
 _CAPACITY = 64  # images or records that may wait for each other: more than the reader reorders
 
 
@@ -122,6 +121,26 @@ def with_losses(exposures: Iterable[FrameRecord]) -> Iterator[tuple[FrameRecord,
     for record, lost in zip(published, newly_dropped(each.dropped for each in published), strict=True):
         if record.pattern.kind != PatternKind.OTHER:
             yield record, lost
+
+
+def frame_losses(bag: BagReader) -> dict[int, tuple[int, int]]:
+    """Return (frames that the camera dropped, exposures without image in the recording) of each step.
+
+    Those of the free run belong to no step.
+    """
+    names = bag.find(IMAGE, EXPOSURE)
+    images, exposures = set(), []
+    for topic, message, _ in bag.messages(names.values()):
+        if topic == names[IMAGE]:
+            images.add(stamp_of(message))
+        else:
+            exposures.append(frame_record(message))
+    dropped: Counter[int] = Counter()
+    missing: Counter[int] = Counter()
+    for record, lost in with_losses(exposures):
+        dropped[record.step] += lost
+        missing[record.step] += record.stamp not in images
+    return {step: (dropped[step], missing[step]) for step in dropped}
 
 
 def repeated_steps(exposures: Iterable[tuple[str, int, int, int]]) -> list[tuple[str, int]]:

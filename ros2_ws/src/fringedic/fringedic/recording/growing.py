@@ -16,8 +16,10 @@ from mcap.records import Channel, Message, Schema
 
 from fringedic.errors import RecordingError
 from fringedic.recording.bag_files import METADATA, find_files, recording_of
-from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, McapFile, chunk_records, index_bytes
-from fringedic.recording.reader import REORDER_WINDOW, BagReader, decode, topic_of
+from fringedic.recording.decoding import decode
+from fringedic.recording.latched import CopyFilter
+from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, McapFile, chunk_records, index_bytes, topic_of
+from fringedic.recording.reader import REORDER_WINDOW, BagReader
 from fringedic.recording.topics import RawMessage, Topic, is_named
 
 STEP = "experiment/step"
@@ -155,10 +157,12 @@ class GrowingRecording:
     def _until_complete(self, wanted: set[str]) -> Iterator[RawMessage]:
         """Yield the messages of topics in the order in which they are written until the recording is complete."""
         tails: dict[Path, _Tail] = {}
-        complete = False
+        copies, complete = CopyFilter(), False
         while not complete:
             complete = self.is_complete()  # before reading, so that nothing is missed
-            yield from self._written(tails, wanted)
+            for raw in self._written(tails, wanted):
+                if not copies.is_copy(self._topics[raw.topic], raw):
+                    yield raw
             complete = complete or not self._pause()
         if sum((tail.counts for tail in tails.values()), Counter()) != Counter(BagReader(self.path).counts):
             raise FollowError(f"{self.path}: other messages were read than it contains")

@@ -20,6 +20,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from fringedic.errors import RecordingError
+from fringedic.recording.topics import Topic
 from fringedic.wording.causes import cause_of
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -112,8 +113,8 @@ def refuse_compressed_messages(path: Path, records: Iterable[McapRecord]) -> Non
     """
     if any(isinstance(record, Message) and record.data[: len(_ZSTD)] == _ZSTD for record in records):
         raise RecordingError(
-            f"{path}: its messages are compressed by rosbag2; put it beside its metadata.yaml and convert the folder "
-            "with 'ros2 bag convert'"
+            f"{path}: its messages are compressed by rosbag2; put it beside its metadata.yaml, which states it, and "
+            "give the folder"
         )
 
 
@@ -352,3 +353,15 @@ def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
         ) from error
     refuse_compressed_messages(file.path, records)
     return [record for record in records if isinstance(record, Message) and record.channel_id in file.channels]
+
+
+def topic_of(channel: Channel, schema: Schema | None) -> Topic:
+    """Return the topic of a channel."""
+    return Topic(
+        channel.topic,
+        schema.name if schema else "",
+        schema.data.decode(errors="replace") if schema else "",
+        schema.encoding if schema else "",
+        channel.metadata.get("topic_type_hash", ""),
+        channel.metadata.get("offered_qos_profiles", ""),
+    )

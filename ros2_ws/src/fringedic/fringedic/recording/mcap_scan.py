@@ -54,7 +54,7 @@ def scan_file(path: Path, data: Bytes) -> McapFile:
     unfinished_at = scan.run()
     damage = scan.file.damage
     if scan.messages_outside and not scan.file.chunks:
-        raise RecordingError(f"{path}: is written without chunks; convert it with 'ros2 bag convert'")
+        raise RecordingError(f"{path}: is written without chunks; give its folder or the file itself to be converted")
     if scan.broken_chunks:
         damage.append(left_out(scan.broken_chunks))
     if scan.damaged_bytes:

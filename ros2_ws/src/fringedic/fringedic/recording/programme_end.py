@@ -32,13 +32,15 @@ class ProgrammeEnd(NamedTuple):
     error_code: int = 0
 
 
-def programme_end(path: str | os.PathLike[str]) -> ProgrammeEnd | None:
+def programme_end(path: str | os.PathLike[str], sensor: str | None = None) -> ProgrammeEnd | None:
     """Return how the programme of a recording ended, the last time when it was continued.
 
     Parameters
     ----------
     path
         The recording.
+    sensor
+        Name of the sensor, if the recording contains several.
 
     Returns
     -------
@@ -53,10 +55,10 @@ def programme_end(path: str | os.PathLike[str]) -> ProgrammeEnd | None:
 
     Examples
     --------
-    >>> programme_end("recordings/plate-7/bag")  # doctest: +SKIP
-    ProgrammeEnd(experiment='plate', step=3, reason='the machine reports a fault ...', error_code=203)
+    >>> print(programme_end("recordings/plate-7/bag"))  # no programme ended early
+    None
     """
-    reader, end = BagReader(path), None
+    reader, end = BagReader(path, sensor=sensor), None
     if topics := reader.find_optional(PROGRAMME).values():
         with suppress(RecordingError):
             for _, message, _ in reader.messages(topics):

@@ -6,23 +6,25 @@ import heapq
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
-from functools import lru_cache
-from itertools import pairwise
+from contextlib import suppress
+from functools import cached_property
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Message, Schema
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from mcap.records import Message
 
 from fringedic.errors import ErrorCode, RecordingError
+from fringedic.frames.records import frame_record
+from fringedic.frames.sensor import SENSOR, choice_of_sensors
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
-from fringedic.recording.earlier_versions import translate
-from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages
-from fringedic.recording.topics import RawMessage, Topic, is_named
+from fringedic.recording.conversion import readable
+from fringedic.recording.decoding import decode
+from fringedic.recording.latched import CopyFilter
+from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages, topic_of
+from fringedic.recording.order import ClockCheck
+from fringedic.recording.topics import EXPOSURE, RawMessage, Topic, is_named
 
-_SET_BACK_NS = 1_000_000_000  # chunks of messages that were received one after the other overlap by less
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
 
 
@@ -32,10 +34,13 @@ class BagReader:
     Parameters
     ----------
     path
-        A rosbag2 folder with MCAP files, one MCAP file, or the folder of a run with its recording ``bag``.
+        A rosbag2 folder, one of its files, or the folder of a run with its recording ``bag``. Other storage than MCAP
+        in chunks is read through a copy in the folder of temporary files.
     check
         Read every chunk on opening and leave out those that are damaged. Without it, a file with an undamaged index is
         opened by its index alone, and a damaged chunk raises an error when it is reached.
+    sensor
+        Name of the sensor whose topics `find` returns; None for the only one.
 
     Attributes
     ----------
@@ -48,7 +53,8 @@ class BagReader:
     missing
         Messages of each topic that an index or ``metadata.yaml`` counts and that are not in the files.
     set_back
-        Description of a clock that was set back during the recording, by the times of its chunks; empty if it was not.
+        Description of a clock that was set back during the recording; empty if it was not, or if it was set back within
+        a single chunk, which only `verify` reads.
     damage
         Description of damaged and missing files and of a clock that was set back; empty if there are none.
     parts
@@ -62,7 +68,8 @@ class BagReader:
     Raises
     ------
     RecordingError
-        There is no such recording, it has another format, or its files define a topic differently.
+        There is no such recording, it has another format, its files define a topic differently, or it contains
+        exposures of other sensors only.
 
     Examples
     --------
@@ -77,9 +84,10 @@ class BagReader:
     [('/force', 42, 10)]
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, check: bool = False, sensor: str | None = None) -> None:
         self.path = recording_of(Path(path))
-        found = find_files(self.path)
+        self._readable = readable(self.path)
+        found = find_files(self._readable.path)
         self.files, self.unlisted = tuple(found.present), tuple(found.unlisted)
         self._files = [open_file(file, check=check) for file in found.present]
         if all(file.foreign for file in self._files):
@@ -99,11 +107,16 @@ class BagReader:
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
         self.missing = dict(sorted(missing.items()))
-        self.set_back = describe_set_back(_spans(file for file in self._files if file.path.name not in self.unlisted))
-        self.damage = "; ".join(filter(None, (*_damage(self._files, found), self.set_back)))
+        self.set_back = self._set_back()
+        damage = (self._readable.damage, *_damage(self._files, found), self.set_back)
+        self.damage = "; ".join(filter(None, damage))
         self.parts = parts_of_run(self.path)
         words = self.damage, _missing_words(self.missing), describe_parts(part.name for part in self.parts)
         self.lost = "; ".join(filter(None, words))
+        if sensor is not None and self.sensors and sensor not in self.sensors:
+            names = ", ".join(sorted(self.sensors))
+            raise RecordingError(f"{self.path} contains no sensor '{sensor}', it contains {names}: choose one of these")
+        self._sensor = sensor
 
     @property
     def start_time(self) -> int:
@@ -117,11 +130,18 @@ class BagReader:
 
     @property
     def chunks_without_checksum(self) -> int:
-        """Number of chunks without a checksum, which other recorders may leave out."""
+        """Number of chunks without a checksum: other recorders may leave it out, and other storage has none."""
+        if self.is_converted:
+            return sum(len(file.chunks) for file in self._files)
         return sum(count_without_checksum(file) for file in self._files)
 
+    @property
+    def is_converted(self) -> bool:
+        """Whether its storage is read through a copy; see `fringedic.recording.conversion`."""
+        return self._readable.path != self.path
+
     def find(self, *relative_names: str) -> dict[str, str]:
-        """Return the full names of topics by their names relative to the rig's namespace.
+        """Return the full names of topics by their names relative to the namespace of the sensor or of its rig.
 
         Parameters
         ----------
@@ -137,7 +157,7 @@ class BagReader:
         ------
         RecordingError
             With the code MISSING_TOPIC: topics are missing or without messages; the message names them. Without code:
-            the recording contains a topic of several rigs.
+            the recording contains several sensors and none was chosen, or a topic of several rigs.
         """
         found = {name: self._full_names(name) for name in relative_names}
         missing = [name for name, full in found.items() if not full]
@@ -147,8 +167,8 @@ class BagReader:
             words = "; ".join([f"{self.path} has no {', '.join(missing)}", *others, f"it holds {present}"])
             raise RecordingError(words, code=ErrorCode.MISSING_TOPIC)
         for name, full in found.items():
-            if len(full) > 1:
-                raise RecordingError(f"{self.path} contains {name} of several rigs: {', '.join(full)}")
+            if len(full) > 1 and self.sensor:  # which raises when there are several sensors
+                raise _of_several_rigs(self.path, name, full)
         return {name: full[0] for name, full in found.items()}
 
     def find_optional(self, *relative_names: str) -> dict[str, str]:
@@ -158,8 +178,9 @@ class BagReader:
     def raw(self, topics: Iterable[str] | None = None, *, start: int = 0) -> Iterator[RawMessage]:
         """Iterate over serialised messages in the order of their log time.
 
-        Messages of equal time keep their order in the file. One chunk (about a megabyte) is in memory at a time, or
-        as many as overlap in time.
+        Messages of equal time keep their order in the file. Copies of latched messages, with which each file of a split
+        recording begins, are left out. One chunk (about a megabyte) is in memory at a time, or as many as overlap in
+        time.
 
         Parameters
         ----------
@@ -173,7 +194,12 @@ class BagReader:
         RecordingError
             A chunk is damaged although the index is complete.
         """
-        wanted = set(self.topics if topics is None else topics)
+        copies = CopyFilter()
+        for message in self._in_order(set(self.topics if topics is None else topics), start):
+            if not copies.is_copy(self.topics[message.topic], message):
+                yield message
+
+    def _in_order(self, wanted: set[str], start: int) -> Iterator[RawMessage]:
         places = [
             (chunk, number, file)
             for number, file in enumerate(self._files)
@@ -264,62 +290,75 @@ class BagReader:
         """
         return decode(self.topics[topic], data, self.path)
 
+    def _set_back(self) -> str:
+        """Return that the clock was set back; the messages are read only where the times of the chunks go back.
+
+        Files of other recordings have times of their own.
+        """
+        files = [file for file in self._files if file.path.name not in self.unlisted]
+        chunks = [(file, chunk) for file in files for chunk in sorted(file.chunks, key=lambda place: place.offset)]
+        ends = accumulate((chunk.end_time for _, chunk in chunks), max)
+        check = ClockCheck(self.topics.values())
+        if any(chunk.end_time and chunk.start_time < end for (_, chunk), end in zip(chunks[1:], ends, strict=False)):
+            for file, chunk in chunks:
+                with suppress(RecordingError):  # damage is reported where the chunk is needed
+                    for message in read_messages(file, chunk):
+                        check.add(_raw(file, message))
+        return check.description
+
     def _of_other_types(self, names: Iterable[str]) -> list[Topic]:
         """Return the topics that have one of these names and the type of another program."""
         return [topic for topic in self.topics.values() if any(is_named(topic.name, "", name) for name in names)]
 
-    def _full_names(self, name: str) -> list[str]:
+    @cached_property
+    def sensors(self) -> dict[str, str]:
+        """Name of each sensor whose exposures are recorded, with the beginning of the names of its topics."""
+        exposures, found = self._named(EXPOSURE), dict[str, str]()
+        for topic in exposures:
+            for _, message, _ in islice(self.messages([topic]), 1):
+                sensor = frame_record(message).sensor
+                if sensor in found:
+                    raise _of_several_rigs(self.path, EXPOSURE, exposures)
+                found[sensor] = topic.removesuffix(EXPOSURE)
+        return found
+
+    @property
+    def sensor(self) -> str:
+        """Name of the chosen sensor, or of the only one.
+
+        Raises
+        ------
+        RecordingError
+            The recording contains several and none was chosen.
+        """
+        if self._sensor is None and len(self.sensors) > 1:
+            raise RecordingError(choice_of_sensors(self.path, self.sensors))
+        return self._sensor or next(iter(self.sensors), SENSOR)
+
+    def _named(self, name: str) -> list[str]:
         return sorted(
             topic
             for topic, count in self.counts.items()
             if count and is_named(topic, self.topics[topic].type_name, name)
         )
 
-
-def decode(topic: Topic, data: bytes, path: Path) -> Any:
-    """Return a message of a topic, decoded by its recorded definition; its arrays are NumPy arrays.
-
-    A message of an earlier version has the fields of the present one.
-
-    Raises
-    ------
-    RecordingError
-        See `BagReader.decode`; the message names the recording `path`.
-    """
-    if topic.encoding != "ros2msg":
-        raise RecordingError(f"{path}: {topic.name} is defined in {topic.encoding}, only ros2msg is supported")
-    types = _types(topic.definition, topic.type_name)
-    try:
-        message = types.deserialize_cdr(data, topic.type_name)
-    except Exception as error:
-        raise RecordingError(f"{path}: a message of {topic.name} is not a {topic.type_name}: {error}") from error
-    translate(topic.type_name, message)
-    return message
+    def _full_names(self, name: str) -> list[str]:
+        """Return the topics of this name: that of the chosen sensor, otherwise those that are of no other sensor."""
+        full = self._named(name)
+        if self._sensor is None:
+            return full
+        of_sensors = {sensor: f"{beginning}{name}" for sensor, beginning in self.sensors.items()}
+        own = of_sensors.pop(self._sensor, "")
+        return [own] if own in full else [topic for topic in full if topic not in of_sensors.values()]
 
 
-@lru_cache(maxsize=256)
-def _types(definition: str, type_name: str) -> Typestore:
-    """Return the types of a definition; their code is generated once for all recordings with the same definition."""
-    types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg(definition, type_name))
-    return types
+def _of_several_rigs(path: Path, name: str, topics: Iterable[str]) -> RecordingError:
+    return RecordingError(f"{path} contains {name} of several rigs: {', '.join(topics)}")
 
 
 def _raw(file: McapFile, message: Message) -> RawMessage:
     topic = file.channels[message.channel_id].topic
     return RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
-
-
-def topic_of(channel: Channel, schema: Schema | None) -> Topic:
-    """Return the topic of a channel."""
-    return Topic(
-        channel.topic,
-        schema.name if schema else "",
-        schema.data.decode(errors="replace") if schema else "",
-        schema.encoding if schema else "",
-        channel.metadata.get("topic_type_hash", ""),
-        channel.metadata.get("offered_qos_profiles", ""),
-    )
 
 
 def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:
@@ -331,39 +370,6 @@ def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:
         yield f"{name} is missing"
     if found.damage:
         yield found.damage
-
-
-def _spans(files: Iterable[McapFile]) -> Iterator[tuple[int, int]]:
-    """Yield the log times of the first and the last message of each chunk [ns], in the order of writing."""
-    for file in files:
-        for chunk in sorted(file.chunks, key=lambda place: place.offset):
-            if chunk.end_time:  # 0 for a chunk without messages
-                yield chunk.start_time, chunk.end_time
-
-
-def describe_set_back(spans: Iterable[tuple[int, int]]) -> str:
-    """Return that the clock was set back during a recording, and when; empty if it was not.
-
-    Parameters
-    ----------
-    spans
-        Log times of the first and the last message [ns] of each chunk or of each message, in the order of writing. A
-        clock that is set back within a single chunk is found by the times of the messages only.
-
-    Examples
-    --------
-    >>> describe_set_back([(0, 4_000_000_000), (3_900_000_000, 9_000_000_000), (6_000_000_000, 7_000_000_000)])
-    'the clock was set back by 3.0 s at 1970-01-01 00:00:09 UTC; order and times of later messages are wrong'
-    """
-    back, when = 0, 0
-    for (_, end), (start, _) in pairwise(spans):
-        if end - start > max(back, _SET_BACK_NS):
-            back, when = end - start, end
-    if not back:
-        return ""
-    time = datetime.fromtimestamp(1e-9 * when, UTC)
-    later = "order and times of later messages are wrong"
-    return f"the clock was set back by {1e-9 * back:.1f} s at {time:%Y-%m-%d %H:%M:%S} UTC; {later}"
 
 
 def describe_parts(names: Iterable[str]) -> str:

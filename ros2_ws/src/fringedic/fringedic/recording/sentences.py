@@ -7,13 +7,16 @@ from collections.abc import Iterator, Mapping
 
 from fringedic.frames.clocks import ClockEstimate
 from fringedic.recording.bag_files import METADATA
-from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
 from fringedic.recording.programme_end import ProgrammeEnd
 from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
+from fringedic.recording.topics import EXPOSURE, IMAGE
 from fringedic.recording.verification import Verification
 from fringedic.wording.numbers import counted, grouped
+
+REFERENCE, PARAMETERS, CALIBRATION = "experiment/reference", "node_parameters", "calibration"
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 def content_sentences(content: Content) -> list[str]:
@@ -56,14 +59,23 @@ def programme_sentences(end: ProgrammeEnd | None) -> list[str]:
     return [f"programme: {end.experiment} {how}"]
 
 
-def next_command(content: Content) -> str:
+def next_command(content: Content, types: Mapping[str, str] | None = None) -> str:
     """Return the command that follows after the content of a recording is known.
+
+    Parameters
+    ----------
+    content
+        What of the recording can be read.
+    types
+        Types of its topics, None where they are not known; images without exposure records can be measured by them.
 
     Examples
     --------
     >>> from pathlib import Path
     >>> next_command(Content(Path("bag"), {"/rig/camera/image_raw": 24}, {}, "not closed"))
     'next: `fringedic recover bag` writes a recording of what is whole'
+    >>> next_command(Content(Path("bag"), {"/left/image": 24}, {}, ""), {"/left/image": "sensor_msgs/msg/Image"})
+    'next: `fringedic measure bag --bag /left/image` measures displacement and strain of the images, without a rig'
     """
     path = content.path
     if not content.whole:
@@ -71,9 +83,30 @@ def next_command(content: Content) -> str:
         return f"next: `fringedic recover {path}` writes {written}"
     if any(f"/{name}".endswith("/dic/status") and count for name, count in content.counts.items()):
         return f"next: `fringedic report {path}` shows the results; `fringedic process {path}` computes them again"
-    if _frames(content.counts):
-        return f"next: `fringedic process {path}` measures the recorded frames"
+    if _recorded(content, IMAGE) and _recorded(content, EXPOSURE):
+        return _process_command(content)
+    images = [name for name, type_name in (types or {}).items() if type_name in IMAGE_TYPES and content.counts[name]]
+    if images:
+        commands = " or ".join(f"`fringedic measure {path} --bag {name}`" for name in images)
+        return f"next: {commands} measures displacement and strain of the images, without a rig"
     return "next: measure again; without frames there is nothing to process"
+
+
+def _process_command(content: Content) -> str:
+    """Return the command that measures the frames, with the options for what is not recorded."""
+    path, options, notes = content.path, "", ""
+    if not _recorded(content, REFERENCE):
+        options += " --reference STEP"
+    if not _recorded(content, PARAMETERS):
+        options += " --set specimen.force_sign=1 --set specimen.force_tare_newton=0"
+        notes += "; no settings are recorded (node_parameters), defaults are used"
+    if not _recorded(content, CALIBRATION):
+        notes += "; fringes need --calibration FILE, none is recorded"
+    return f"next: `fringedic process {path}{options}` measures the recorded frames{notes}"
+
+
+def _recorded(content: Content, name: str) -> bool:
+    return any(f"/{topic}".endswith(f"/{name}") and count for topic, count in content.counts.items())
 
 
 def _frames(counts: Mapping[str, int]) -> int:
@@ -91,8 +124,7 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     yield f"recording: {verification.path}, {messages} messages in {files} file{'s' if files != 1 else ''}"
     yield f"files: {_manifest(verification.manifest)}"
     yield f"chunks: {_chunks(verification)}"
-    gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
-    yield f"publishers' counts: {f'missing are {gaps}' if gaps else 'no message is missing'}"
+    yield f"publishers' counts: {_counts(verification)}"
     for (experiment, step), (recorded, frames) in verification.unfinished_steps.items():
         name = f"step {step} of {experiment or 'no experiment'}"
         yield f"{name}: no successful end recorded, {recorded} of {frames} frames"
@@ -102,6 +134,15 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
         yield f"camera: dropped {grouped(verification.dropped)} frames before it published them"
     exposed = verification.frames + verification.lost_frames
     yield f"{grouped(verification.frames)} of {grouped(exposed)} frames, {grouped(verification.lost_frames)} lost"
+
+
+def _counts(verification: Verification) -> str:
+    gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
+    if not verification.uncounted:
+        return f"missing are {gaps}" if gaps else "no message is missing"
+    topics = ", ".join(verification.uncounted)
+    unknown = f"whether messages are missing cannot be known of {topics}, which have no sequence numbers"
+    return f"missing are {gaps}; {unknown}" if gaps else unknown
 
 
 def _chunks(verification: Verification) -> str:
@@ -135,7 +176,7 @@ def clock_sentences(clocks: Mapping[str, ClockEstimate]) -> list[str]:
     Parameters
     ----------
     clocks
-        Estimates by the name of the device, as `fringedic.recording.clocks.recorded_clocks` returns them.
+        Estimates by the name of the device, as `fringedic.signals.clocks.recorded_clocks` returns them.
 
     Examples
     --------

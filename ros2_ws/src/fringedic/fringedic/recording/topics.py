@@ -6,13 +6,15 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+IMAGE = "camera/image_raw"
+EXPOSURE = "camera/exposure"
 _BEFORE_COMMENT = re.compile(r"""(?:[^#'"]|'[^']*'|"[^"]*")*""")
 _NODES = ("phase", "dic", "coupling")
 _TYPES = {
     "calibration": "fringedic_msgs/msg/RigCalibration",
     "camera/clock": "fringedic_msgs/msg/ClockDrift",
-    "camera/exposure": "fringedic_msgs/msg/Exposure",
-    "camera/image_raw": "sensor_msgs/msg/Image",
+    EXPOSURE: "fringedic_msgs/msg/Exposure",
+    IMAGE: "sensor_msgs/msg/Image",
     "experiment/plane": "fringedic_msgs/msg/ReferencePlane",
     "experiment/reference": "fringedic_msgs/msg/Reference",
     "experiment/step": "fringedic_msgs/msg/StepStatus",

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-from array import array
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from fringedic.frames.records import stamp_of
-from fringedic.recording.bag_metadata import offered_profiles
-from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped, repeated_steps
+from fringedic.recording.frames import newly_dropped, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
-from fringedic.recording.reader import BagReader, describe_set_back
-from fringedic.recording.topics import RawMessage, Topic, is_named
+from fringedic.recording.order import ClockCheck, PublisherCounts
+from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import EXPOSURE, IMAGE, RawMessage, is_named
 
 STEP = "experiment/step"
 _END = 3  # stage of a step that succeeded, in fringedic_msgs/StepStatus
@@ -40,6 +39,8 @@ class Verification:
         Number of readable chunks without a checksum.
     gaps
         Messages of each topic that are missing in the count of its publisher, between the first and the last recorded.
+    uncounted
+        Topics whose messages have no sequence numbers, so that a missing one cannot be noticed.
     frames, lost_frames
         Frames with image and exposure record, and frames that lack one of them or both.
     unfinished_steps
@@ -57,6 +58,7 @@ class Verification:
     damage: str
     unchecked: int
     gaps: dict[str, int]
+    uncounted: list[str]
     frames: int
     lost_frames: int
     unfinished_steps: dict[Step, tuple[int, int]]
@@ -65,9 +67,12 @@ class Verification:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is damaged, lost or ambiguous, proved by the checksums of all chunks or by the manifest."""
+        """Whether nothing is damaged, lost or ambiguous.
+
+        It is proved by the checksums of all chunks or by the manifest, and by the numbers of the messages.
+        """
         unconfirmed = self.unchecked and not self.manifest.present
-        problems = self.damage, self.gaps, self.lost_frames, self.repeated_steps, unconfirmed
+        problems = self.damage, self.gaps, self.uncounted, self.lost_frames, self.repeated_steps, unconfirmed
         return self.manifest.fits and not any(problems)
 
 
@@ -89,55 +94,34 @@ def verify(path: str | os.PathLike[str]) -> Verification:
 
     Examples
     --------
-    >>> verify("recordings/plate-7/bag").complete  # doctest: +SKIP
+    >>> verify("recordings/plate-7/bag").complete
     True
     """
     reader = BagReader(path, check=True)
-    gaps, frames, times = _Gaps(reader.topics), _Frames(reader), array("q")
+    counts, frames, clock = PublisherCounts(reader.topics), _Frames(reader), ClockCheck(reader.topics.values())
     for message in reader.stored():
-        gaps.add(message)
+        counts.add(message)
         frames.add(message)
-        times.append(message.log_time)
+        clock.add(message)
     known = reader.set_back or reader.unlisted  # files of other recordings have times of their own
-    set_back = "" if known else describe_set_back(zip(times, times, strict=True))
+    set_back = "" if known else clock.description
+    without_manifest = reader.is_converted or reader.path.is_file()
+    gaps = counts.missing(in_file_order=bool(reader.set_back or set_back))
     return Verification(
         path=reader.path,
         files=len(reader.files),
         messages=sum(reader.counts.values()),
-        manifest=check_manifest(reader.path) if reader.path.is_dir() else ManifestCheck(present=False),
+        manifest=ManifestCheck(present=False) if without_manifest else check_manifest(reader.path),
         damage="; ".join(filter(None, (reader.lost, set_back))),
         unchecked=reader.chunks_without_checksum,
-        gaps=dict(gaps.missing),
+        gaps=gaps,
+        uncounted=counts.unknown,
         frames=frames.complete,
-        lost_frames=frames.lost(gaps.missing, reader.missing),
+        lost_frames=frames.lost(gaps, reader.missing),
         unfinished_steps=frames.unfinished_steps(),
         repeated_steps=frames.repeated_steps(),
         dropped=frames.dropped,
     )
-
-
-class _Gaps:
-    """Missing numbers in the publishers' own counts of their messages.
-
-    A number that is not larger than the one before begins the count of a restarted publisher. Latched topics have
-    several publishers, whose first recorded message may have any number; they are left out.
-    """
-
-    def __init__(self, topics: Mapping[str, Topic]) -> None:
-        self.missing: Counter[str] = Counter()
-        self._last: dict[str, int] = {}
-        self._latched = {name for name, topic in topics.items() if _is_latched(topic)}
-
-    def add(self, message: RawMessage) -> None:
-        """Take the next message in the order of receipt."""
-        last = self._last.get(message.topic)
-        self._last[message.topic] = message.sequence
-        if last is not None and message.sequence > last + 1 and message.topic not in self._latched:
-            self.missing[message.topic] += message.sequence - last - 1
-
-
-def _is_latched(topic: Topic) -> bool:
-    return any(profile.get("durability") in ("transient_local", 1) for profile in offered_profiles(topic.qos))
 
 
 class _Frames:
@@ -153,11 +137,11 @@ class _Frames:
             for name in (IMAGE, EXPOSURE, STEP)
             if is_named(full, types.get(full, ""), name)
         }
-        self._dropped: list[int] = []  # by the count of the camera at each record
+        self._dropped: defaultdict[str, list[int]] = defaultdict(list)  # topic -> count of its camera at each record
         self._images: set[int] = set()
         self._records: set[int] = set()
         self._indices: defaultdict[Step, set[int]] = defaultdict(set)
-        self._exposures: set[tuple[str, int, int, int]] = set()
+        self._exposures: defaultdict[str, set[tuple[str, int, int, int]]] = defaultdict(set)  # by topic
         self._sizes: dict[Step, int] = {}
         self._finished: set[Step] = set()
 
@@ -174,9 +158,9 @@ class _Frames:
             self._records.add(stamp_of(message))
             if message.count:  # 0 in a free run, whose frames belong to no step
                 self._indices[step].add(message.index)
-                self._exposures.add((*step, message.index, stamp_of(message)))
+                self._exposures[raw.topic].add((*step, message.index, stamp_of(message)))
                 self._sizes[step] = message.count
-            self._dropped.append(message.dropped)
+            self._dropped[raw.topic].append(message.dropped)
         elif message.stage == _END:
             step = message.experiment, message.step
             self._finished.add(step)
@@ -185,7 +169,7 @@ class _Frames:
     @property
     def dropped(self) -> int:
         """Frames that the camera dropped before it published them."""
-        return sum(newly_dropped(self._dropped))
+        return sum(sum(newly_dropped(counts)) for counts in self._dropped.values())
 
     @property
     def complete(self) -> int:
@@ -218,4 +202,4 @@ class _Frames:
 
     def repeated_steps(self) -> list[Step]:
         """Return each step that was measured more than once under its number."""
-        return repeated_steps(self._exposures)
+        return sorted({step for exposures in self._exposures.values() for step in repeated_steps(exposures)})

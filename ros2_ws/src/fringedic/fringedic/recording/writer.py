@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import yaml
 
@@ -20,6 +20,7 @@ from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import METADATA
 from fringedic.recording.bag_metadata import bag_metadata
 from fringedic.recording.definitions import interface_definition, type_hash
+from fringedic.recording.latched import LatchedMessages
 from fringedic.recording.manifest import write_manifest, write_whole
 from fringedic.recording.mcap_output import McapOutput, WrittenFile
 from fringedic.recording.topics import Qos, RawMessage, Topic
@@ -39,6 +40,13 @@ class Split:
 ONE_FILE = Split()
 
 
+class _Repeated(NamedTuple):
+    """Latched messages at the beginning of a file: their number, and the size of the file with them [byte]."""
+
+    messages: int = 0
+    size: int = 0
+
+
 class BagWriter:
     """Writes a rosbag2 directory whose MCAP files stay readable when the process or the machine dies.
 
@@ -55,8 +63,9 @@ class BagWriter:
     flush_interval_s
         Time [s] after which messages are passed to the operating system, so that they survive a crash of this process.
     split
-        Size and duration after which the recording continues in its next file. A file exceeds the size by its index and
-        definitions.
+        Size and duration after which the recording continues in its next file. A file exceeds the size by its index,
+        its definitions, and the latched messages at its beginning: each file begins with copies of the last ones of
+        before, such as settings and calibration, so that it can be read without the files before it.
 
     Raises
     ------
@@ -90,8 +99,11 @@ class BagWriter:
         if self.path.exists():
             raise RecordingError(f"{self.path} exists already; choose another name, nothing was overwritten")
         self._topics: dict[str, Topic] = {}
+        self._latched = LatchedMessages()
         self._counts: defaultdict[str, int] = defaultdict(int)
+        self._copies: defaultdict[str, int] = defaultdict(int)  # of latched messages, among the counts
         self._finished: list[WrittenFile] = []
+        self._repeated = _Repeated()
         self._flushed_at = 0.0
         self._closed = False
         self._failure: OSError | None = None
@@ -174,6 +186,7 @@ class BagWriter:
         with self._named_errors():
             self._output.announce(topic)
         self._topics[topic.name] = topic
+        self._latched.add_topic(topic)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int, sequence: int | None = None) -> None:
         """Append one serialised message.
@@ -197,12 +210,15 @@ class BagWriter:
         """
         if topic not in self._topics:
             raise RecordingError(f"{self.path}: topic {topic} was not announced; call add_topic first")
-        count = self._counts[topic] if sequence is None else sequence
+        count = self._counts[topic] - self._copies[topic] if sequence is None else sequence
         with self._named_errors():
             if self._is_full(len(data), log_time):
-                self._begin_next_file()
-            self._output.write(RawMessage(topic, data, log_time, publish_time, count))
+                self._begin_next_file(log_time)
+            message = RawMessage(topic, data, log_time, publish_time, count)
+            self._output.write(message)
         self._counts[topic] += 1
+        if self._split != ONE_FILE:
+            self._latched.keep(message)
         if time.monotonic() - self._flushed_at > self._flush_interval:
             self.flush()
 
@@ -240,15 +256,21 @@ class BagWriter:
     def _is_full(self, size: int, log_time: int) -> bool:
         """Return whether the present file has to end before a message of a size [byte] and time [ns]."""
         file = self._output.summary
-        if not file.messages:
+        if file.messages == self._repeated.messages:
             return False
-        return self._output.size + size > self._split.size or log_time - file.start_time > 1e9 * self._split.duration
+        written = self._output.size - self._repeated.size
+        return written + size > self._split.size or log_time - file.start_time > 1e9 * self._split.duration
 
-    def _begin_next_file(self) -> None:
+    def _begin_next_file(self, log_time: int) -> None:
         self._finish_file()
         self._output = self._next_output()
         for topic in self._topics.values():
             self._output.announce(topic)
+        for message in self._latched.messages():
+            self._output.write(message._replace(log_time=log_time))
+            self._counts[message.topic] += 1
+            self._copies[message.topic] += 1
+        self._repeated = _Repeated(self._output.summary.messages, self._output.size)
         self._write_metadata()
 
     def _finish_file(self) -> None:

@@ -7,7 +7,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,11 +130,11 @@ class Exposures:
     orientation: str
 
 
-def read_exposures(recording: Path, experiment: str) -> Exposures | None:
+def read_exposures(recording: BagReader, experiment: str) -> Exposures | None:
     """Return the exposures of an experiment, None if the recording contains none."""
     steps: defaultdict[int, list[FrameRecord]] = defaultdict(list)
     dropped = 0
-    for record, lost in with_losses(records(BagReader(recording), experiment)):
+    for record, lost in with_losses(records(recording, experiment)):
         dropped += lost if steps else 0  # those before the first frame belong to no step
         steps[record.step].append(record)
     if not steps:
@@ -161,11 +160,10 @@ def _frame_rate(steps: Iterable[Sequence[FrameRecord]]) -> float:
     return 1e9 / float(np.median(np.concatenate(distances))) if distances else float("nan")
 
 
-def read_textures(recording: Path, stamps: Sequence[int]) -> list[np.ndarray]:
+def read_textures(recording: BagReader, stamps: Sequence[int]) -> list[np.ndarray]:
     """Return the recorded textures with these stamps [ns] in their order; empty unless all are recorded."""
-    reader = BagReader(recording)
     found = {}
-    for _, message, _ in reader.messages(reader.find_optional(PHASE_TEXTURE).values()):
+    for _, message, _ in recording.messages(recording.find_optional(PHASE_TEXTURE).values()):
         if stamp_of(message) in stamps:
             found[stamp_of(message)] = image_array(message)
     return [found[stamp] for stamp in stamps] if len(found) == len(set(stamps)) else []

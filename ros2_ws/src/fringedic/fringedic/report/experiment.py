@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.correlation import grey_residual
+from fringedic.datasets.attributes import sensor_of
 from fringedic.datasets.opening import open_experiment
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.datasets.stores import SUFFIXES
@@ -29,8 +30,10 @@ from fringedic.figures.maps import maps_figure, reference_figure
 from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS, FLAT_STRAIN, pictures_of
 from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
+from fringedic.frames.sensor import file_of
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
+from fringedic.recording.reader import BagReader
 from fringedic.report.data import ReportData, read_exposures, read_textures
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, fringe_entries
@@ -73,6 +76,7 @@ def write_report(
     source: str | os.PathLike[str],
     output: str | os.PathLike[str] | None = None,
     *,
+    sensor: str | None = None,
     static_steps: Sequence[int] | None = None,
     gauges: Mapping[str, GaugePoints] | None = None,
     regions: Mapping[str, Region] | None = None,
@@ -86,7 +90,9 @@ def write_report(
         A recording or the folder of a run, whose dataset is opened or made as by `fringedic.open_experiment`; or a
         dataset, whose recording is looked for in the same folder.
     output
-        The file; by default ``report.html`` beside the recording.
+        The file; by default ``report.html`` beside the recording, with the name of a sensor that has one.
+    sensor
+        Name of the sensor, if there are several.
     static_steps
         Numbers of the steps at rest, from which the noise floor is taken, all with the same reference step, which does
         not count itself; by default the steps before and after the reference step at the same crosshead position.
@@ -118,13 +124,13 @@ def write_report(
     >>> write_report("recordings/plate-7/bag", gauges={"middle": ((200, 480), (1000, 480))})  # doctest: +SKIP
     PosixPath('recordings/plate-7/report.html')
     """
-    with open_experiment(source) as dataset:
+    with open_experiment(source, sensor=sensor) as dataset:
         _require_whole(source, dataset)
         place = recording_of(Path(source))
         if place.is_dir() and place.suffix not in SUFFIXES and "image" in dataset:
             place = Path(dataset.encoding["source"])  # the folder of measured images has no recording
         files = _Source(place, _recording(place, dataset))
-        target = files.folder / "report.html" if output is None else Path(output)
+        target = file_of(files.folder / "report.html", sensor_of(dataset)) if output is None else Path(output)
         require_new(target, overwrite)
         with write_errors_named(target):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -164,7 +170,7 @@ def _content(
 ) -> dict[str, Any]:
     """Return the values of the template."""
     floors = noise_floors(dataset, static)
-    recording = files.recording
+    recording = None if files.recording is None else BagReader(files.recording, sensor=sensor_of(dataset))
     exposures = None if recording is None else read_exposures(recording, str(dataset.attrs["experiment"]))
     data = ReportData(dataset, exposures, _advice(dataset, recording, static))
     points = _entered_gauges(data) if gauges is None else gauges
@@ -261,7 +267,7 @@ def _extensometers(dataset: xr.Dataset, gauges: Mapping[str, GaugePoints]) -> tu
     return strains, failed
 
 
-def _advice(dataset: xr.Dataset, recording: Path | None, static: Sequence[int]) -> Advice | None:
+def _advice(dataset: xr.Dataset, recording: BagReader | None, static: Sequence[int]) -> Advice | None:
     """Return the figures of the textures at rest; None without two of them and their reference, or a usable texture."""
     if recording is None or len(static) < 2:
         return None

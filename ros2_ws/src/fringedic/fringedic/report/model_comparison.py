@@ -11,7 +11,13 @@ from fringedic.datasets.quantities import people_unit
 from fringedic.figures.load_curve import load_curve_figure
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
-from fringedic.models.sentences import agreement_sentences, deviation_text, placement_sentences, shape_sentences
+from fringedic.models.sentences import (
+    agreement_sentences,
+    deviation_text,
+    left_out_sentences,
+    placement_sentences,
+    shape_sentences,
+)
 from fringedic.report.templates import base64_png, render_page, require_new, write_page
 from fringedic.wording.numbers import number_text
 
@@ -76,7 +82,7 @@ def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
     last = comparison.isel(step=-1)
     page = _page(
         comparison,
-        agreement_sentences(last),
+        [*left_out_sentences(comparison), *agreement_sentences(last)],
         columns=COLUMNS,
         rows=[row for step in comparison["step"].values for row in _rows(comparison.sel(step=step))],
         shown=int(last["step"]),

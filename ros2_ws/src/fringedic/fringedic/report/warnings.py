@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.sentences import references_sentence
+from fringedic.datasets.quantities import MISSING_SETTINGS
+from fringedic.datasets.sentences import missing_settings_sentence, references_sentence
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.provenance import UNKNOWN
 from fringedic.report.data import ReportData
@@ -55,6 +57,7 @@ def _failed_steps(dataset: xr.Dataset) -> Iterator[str]:
 def _lost_data(data: ReportData) -> Iterator[str]:
     if "damage" in data.dataset.attrs:
         yield f"the recording is damaged: {data.dataset.attrs['damage']}"
+    yield from filter(None, [missing_settings_sentence(json.loads(data.dataset.attrs.get(MISSING_SETTINGS, "[]")))])
     if data.exposures is not None and data.exposures.dropped:
         yield f"the camera lost {data.exposures.dropped} frames"
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from fringedic.errors import CalibrationError, ErrorCode, PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.rig.geometry import UNKNOWN_FIRST, RigGeometry
 from fringedic.wording.numbers import number_text
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Half width of the view over its distance: 0.2 to 120 degree of view. The limits differ by a factor of 1000, so that a
 # length in m or µm instead of mm is outside for every lens between them.
@@ -35,12 +38,15 @@ class RigSetup:
         (column, row) of the sensor with which the camera's image begins [px]; -1 when unknown.
     patterns
         Patterns of a step whose phase has to be absolute; empty when unknown.
+    sensor
+        Name of the camera with its projector; None when unknown.
     """
 
     camera_size: tuple[int, int] | None = None
     projector_size: tuple[int, int] | None = None
     patterns: Sequence[ProjectedPattern] = ()
     camera_first: tuple[int, int] = UNKNOWN_FIRST
+    sensor: str | None = None
 
 
 def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
@@ -56,11 +62,17 @@ def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
     Raises
     ------
     CalibrationError
-        With the code OTHER_RIG: camera or projector have another size; the image begins elsewhere on the sensor; its
-        lengths contradict each other, as those in different units do; the projector does not light the camera's view.
+        With the code OTHER_RIG: it is that of another sensor; camera or projector have another size; the image begins
+        elsewhere on the sensor; its lengths contradict each other, as those in different units do; the projector does
+        not light the camera's view.
     PatternError
         With the code INVALID_SEQUENCE: the coarsest fringes repeat in the view, so that fringe orders would be wrong.
     """
+    if setup.sensor not in (None, calibration.sensor):
+        raise _other_rig(
+            f"{_name(calibration)} is that of the sensor '{calibration.sensor}', this is the sensor '{setup.sensor}': "
+            f"use the calibration of '{setup.sensor}', or calibrate it"
+        )
     if setup.camera_size is not None:
         check_camera(calibration, setup.camera_size)
     known_first = (calibration.camera_first_column, calibration.camera_first_row)

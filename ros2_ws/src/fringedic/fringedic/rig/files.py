@@ -8,8 +8,10 @@ from typing import Any
 
 import yaml
 
+from fringedic.camera.camera_info import is_camera_info
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR
 from fringedic.rig.geometry import ADDED, RigGeometry
 from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
@@ -48,6 +50,7 @@ def write_rig(geometry: RigGeometry, path: str | Path) -> None:
     """Write a rig as YAML."""
     distortion = geometry.camera_distortion
     content = {
+        "sensor": geometry.sensor,
         "identifier": geometry.identifier,
         "model": geometry.model,
         "source": geometry.source,
@@ -92,6 +95,12 @@ def parse_rig(text: str) -> dict[str, Any]:
     """
     try:
         content = load_yaml(text)
+        if is_camera_info(content):
+            raise CalibrationError(
+                "this is the calibration of a camera alone, as ost.yaml or camera_info of ROS, without a projector. It "
+                "can replace the lens only: fringedic.camera.DistortionMap.load reads it; 'fringedic calibrate' "
+                "calibrates a rig"
+            )
         values: dict[str, Any] = {
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
@@ -102,6 +111,7 @@ def parse_rig(text: str) -> dict[str, Any]:
         distortion = content.get("camera_distortion")
         return values | {
             "camera_distortion": None if distortion is None else DistortionMap.from_dict(distortion),
+            "sensor": content.get("sensor", SENSOR),
             "identifier": content["identifier"],
             "model": content["model"],
             "source": content["source"],

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR, sensor_name
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.projector_lens import ProjectorLens, distorted
 from fringedic.wording.arguments import Check, check_value, excerpt, several, text
@@ -86,6 +87,7 @@ class RigGeometry:
     projector_k3: float = 0.0
     camera_first_column: int = UNKNOWN_FIRST[0]
     camera_first_row: int = UNKNOWN_FIRST[1]
+    sensor: str = SENSOR
     identifier: str = ""
     model: str = GENERAL
     source: str = ""
@@ -302,7 +304,7 @@ def _any_number(value: Any) -> Any:
     return value
 
 
-_NOT_NUMBERS = ("identifier", "model", "source", "parameter_names", "camera_distortion")
+_NOT_NUMBERS = ("sensor", "identifier", "model", "source", "parameter_names", "camera_distortion")
 _NUMBERS = tuple(each.name for each in dataclasses.fields(RigGeometry) if each.name not in _NOT_NUMBERS)
 _TUPLES = ("projector_position", "projector_rotation", "parameter_names", "covariance")
 _POSITIVE = (
@@ -319,6 +321,7 @@ _TRIPLE = several(_any_number, length=3)
 _CHECKS: dict[str, Check] = dict.fromkeys(_NUMBERS, _any_number) | {
     "projector_position": _TRIPLE,
     "projector_rotation": _TRIPLE,
+    "sensor": sensor_name,
     **dict.fromkeys(("identifier", "model", "source"), text),
     "parameter_names": several(text),
     "covariance": several(_any_number),

@@ -9,6 +9,7 @@ import numpy as np
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR
 from fringedic.rig.geometry import ADDED, RigGeometry
 
 
@@ -45,10 +46,13 @@ def rig_of_fields(message: Any) -> dict[str, Any]:
     """
     values: dict[str, Any] = {}
     for each in fields(RigGeometry):
-        if each.name != "camera_distortion" and not (each.name in ADDED and not hasattr(message, each.name)):
+        if each.name not in ("sensor", "camera_distortion") and not (
+            each.name in ADDED and not hasattr(message, each.name)
+        ):
             value = getattr(message, each.name)
             has_many = hasattr(value, "__len__") and not isinstance(value, str)
             values[each.name] = tuple(np.asarray(value).tolist()) if has_many else value
+    values["sensor"] = getattr(message, "sensor", "") or SENSOR
     # messages that are older than the measurement of the distortion lack its fields
     columns, rows = (np.asarray(getattr(message, f"distortion_{name}", ()), float) for name in ("columns", "rows"))
     if columns.size or rows.size:

@@ -59,6 +59,8 @@ class RigModel(RigGeometry):
         Position of the projector's optical axis in its image [px].
     projector_k1, projector_k2, projector_p1, projector_p2, projector_k3
         Distortion of the projector's lens (Brown 1971) with the signs of OpenCV: radial k, tangential p.
+    sensor
+        Name of the sensor, this camera with this projector.
     identifier, model, source
         Name of this calibration, ``"six_parameter"`` or ``"general"``, and its origin. The name ``"paper"`` of older
         files is accepted for the six-parameter model.

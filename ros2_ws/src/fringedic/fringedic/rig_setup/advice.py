@@ -126,3 +126,9 @@ class Advice:
     def gauge_length(self) -> float:
         """Virtual strain gauge L_VSG = (L_window - 1) L_step + L_subset [px]."""
         return (self.strain_window - 1) * self.spacing + self.window
+
+    @property
+    def options(self) -> str:
+        """Options of ``fringedic measure`` for these settings."""
+        strain_window = (self.strain_window - 1) * self.spacing + 1
+        return f"--window {self.window} --spacing {self.spacing} --strain-window {strain_window}"

@@ -57,11 +57,12 @@ def _settings(advice: Advice) -> list[tuple[str, str]]:
     strain_window = (advice.strain_window - 1) * advice.spacing + 1
     return [
         ("", "Settings"),
-        ("subset size", f"{length(advice.window)}, {features:.1f} features"),
-        ("step size", length(advice.spacing)),
+        ("window (width of the subset)", f"{length(advice.window)}, {features:.1f} features"),
+        ("spacing (of the points)", length(advice.spacing)),
         ("spatial resolution", f"{length(advice.period)}: shortest period that keeps 90 % of its amplitude"),
-        ("strain window", f"{advice.strain_window} points ({strain_window} px)"),
-        ("virtual strain gauge", f"{length(advice.gauge_length)}: (window - 1) step + subset"),
+        ("strain window", f"{strain_window} px ({advice.strain_window} points)"),
+        ("virtual strain gauge", f"{length(advice.gauge_length)}: strain window + window - 1"),
+        ("with them", f"fringedic measure ... {advice.options}"),
     ]
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 from fringedic.virtual_rig import VirtualRigConfiguration
 
 MILLI = 1e-3
-FOLDER = "folder"  # key of the context of a validation: folder of the file that is read
+FILE, FOLDER = "file", "folder"  # keys of the context of a validation: name and folder of the file that is read
 
 
 class Settings(BaseModel):

@@ -9,10 +9,9 @@ from pydantic import Field, SerializeAsAny, model_validator
 
 from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.settings.base import MILLI, FilePath, VirtualDeviceNodeSettings
-from fringedic.settings.devices import Devices, DeviceSettings
+from fringedic.settings.devices import Devices, ImageDeviceSettings
 
 PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
-LEAST_SIZE = 16  # of an image [px]
 _OF_THE_TIMEOUT = 0.8  # of a driver, whose error messages are more precise
 
 
@@ -44,7 +43,7 @@ class Trigger(StrEnum):
     EXTERNAL_LEVEL = "external_level"  # an electrical level, for as long as it lasts
 
 
-class CameraSettings(DeviceSettings):
+class CameraSettings(ImageDeviceSettings):
     """Settings of every camera.
 
     Attributes
@@ -61,8 +60,6 @@ class CameraSettings(DeviceSettings):
         "GigE or USB3 Vision camera; v4l2: a USB camera (UVC); topic: any camera with a ROS 2 driver of its own; or "
         "the name of an installed driver."
     )
-    width: int = Field(0, ge=0, le=32768, description="Image width [px]; 0: the whole width of the camera.")
-    height: int = Field(0, ge=0, le=32768, description="Image height [px]; 0: the whole height of the camera.")
     exposure_ms: float = Field(10.0, gt=0, le=60e3, description="Exposure time [ms].")
     settle_ms: float = Field(
         0.0, ge=0, le=60e3, description="Time between the pattern on the screen and the start of the exposure [ms]."
@@ -73,13 +70,6 @@ class CameraSettings(DeviceSettings):
     pixel_format: Literal["", PixelFormat] = Field(
         "", description="Bit depth of the pixels, for the grey level of saturation; empty: that of the images' type."
     )
-
-    @model_validator(mode="after")
-    def _size_is_possible(self) -> Self:
-        for name, size in (("width", self.width), ("height", self.height)):
-            if 0 < size < LEAST_SIZE:
-                raise ValueError(f"{name} is {size}; at least {LEAST_SIZE} px are needed")
-        return self
 
     @property
     def exposure_time(self) -> float:
@@ -95,11 +85,6 @@ class CameraSettings(DeviceSettings):
     def driver_timeout(self) -> float:
         """Longest wait of the driver for a frame beyond its exposure time [s]."""
         return _OF_THE_TIMEOUT * self.timeout_s
-
-    @property
-    def size(self) -> tuple[int, int] | None:
-        """Width and height of the images [px]; None: those of the camera."""
-        return (self.width, self.height) if self.width and self.height else None
 
     @property
     def first(self) -> tuple[int, int]:

@@ -6,15 +6,16 @@ import importlib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
-from pydantic import Field, GetCoreSchemaHandler, ValidationError, ValidationInfo
+from pydantic import Field, GetCoreSchemaHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from fringedic.errors import ConfigurationError
 from fringedic.settings.base import Settings
 
 SOURCE = "source"
+LEAST_SIZE = 16  # of an image [px]
 UNKNOWN_KEY = "unknown_key"  # type of an error of a validation
 
 
@@ -28,10 +29,13 @@ class DeviceSettings(Settings):
         called with the settings and the node.
     elsewhere
         Where a user finds settings that this kind does not have.
+    of_another_node
+        Fields of the section of the rig file that are no parameters of the node of the device.
     """
 
     driver: ClassVar[str] = ""
     elsewhere: ClassVar[str] = "it has only the settings of its own driver"
+    of_another_node: ClassVar[frozenset[str]] = frozenset()
 
     source: str = Field(description="Kind of the device.")
 
@@ -59,6 +63,25 @@ class DeviceSettings(Settings):
                 "reinstall its package"
             ) from error
         return driver(self, node)
+
+
+class ImageDeviceSettings(DeviceSettings):
+    """Settings of one kind of a device that takes or shows images."""
+
+    width: int = Field(0, ge=0, le=32768, description="Image width [px]; 0: the whole width of the device.")
+    height: int = Field(0, ge=0, le=32768, description="Image height [px]; 0: the whole height of the device.")
+
+    @model_validator(mode="after")
+    def _size_is_possible(self) -> Self:
+        for name, size in (("width", self.width), ("height", self.height)):
+            if 0 < size < LEAST_SIZE:
+                raise ValueError(f"{name} is {size}; at least {LEAST_SIZE} px are needed")
+        return self
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the images [px]; None: those of the device."""
+        return (self.width, self.height) if self.width and self.height else None
 
 
 DeviceT = TypeVar("DeviceT", bound=DeviceSettings)

@@ -20,7 +20,9 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from fringedic.errors import ConfigurationError
-from fringedic.settings.devices import SOURCE, Devices, DeviceSettings
+from fringedic.frames.region import Region
+from fringedic.metadata import Metadata
+from fringedic.settings.devices import SOURCE, Devices, DeviceSettings, source_of
 from fringedic.wording.yaml_text import load_yaml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -53,7 +55,7 @@ def parameter_fields(model: type[BaseModel], device: type[DeviceSettings] | None
     fields: dict[str, FieldInfo] = {}
     for own, field in model.model_fields.items():
         if own == name:
-            fields |= (device or type(field.default)).model_fields
+            fields |= _fields_of_device(model, device or type(field.default))
             fields[SOURCE] = copy(fields[SOURCE])
             fields[SOURCE].description = devices.base.model_fields[SOURCE].description
         else:
@@ -81,7 +83,8 @@ def all_parameters(settings: BaseModel) -> dict[str, Any]:
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         if found is not None and name == found[0]:
-            parameters |= all_parameters(value)
+            of_device = all_parameters(value)
+            parameters |= {each: of_device[each] for each in _fields_of_device(type(settings), type(value))}
         else:
             parameters[name] = parameter_value(field, value)
     return parameters
@@ -148,9 +151,11 @@ def is_text(field: FieldInfo) -> bool:
 
 
 def to_text(value: Any) -> str:
-    """Return a structured value as one line of YAML."""
-    plain = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-    return yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=10**9).strip()
+    """Return a structured value as one line of YAML; empty without entries."""
+    if isinstance(value, Region | Metadata):
+        return value.to_text()
+    plain = value.model_dump(mode="json", exclude_defaults=True) if isinstance(value, BaseModel) else value
+    return yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=10**9).strip() if plain else ""
 
 
 def plain_value(value: Any) -> Any:
@@ -184,6 +189,17 @@ def scalar_type(field: FieldInfo) -> Any:
     """Return the type of a field, or of the elements of a list, with the type of the values of a choice."""
     element, _ = element_type(field)
     return type(values[0]) if (values := choices(element)) else element
+
+
+def _fields_of_device(model: type[BaseModel], device: type[DeviceSettings]) -> dict[str, FieldInfo]:
+    """Return the fields of a device that are parameters of its node, whose settings are `model`."""
+    fields = {name: field for name, field in device.model_fields.items() if name not in device.of_another_node}
+    if taken := sorted(fields.keys() & model.model_fields.keys()):
+        raise ConfigurationError(
+            f"source {source_of(device)}: {', '.join(taken)} of {device.__module__}.{device.__name__} is the name of a "
+            "parameter that the node has for every device; rename it"
+        )
+    return fields
 
 
 def _field_values(fields: Mapping[str, FieldInfo], parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,6 @@
 from .messages import SIGNAL_TOPICS as SIGNAL_TOPICS
+from .messages import Sample as Sample
+from .messages import SignalCollector as SignalCollector
 from .messages import signals_of as signals_of
 from .samples import SampleSummary as SampleSummary
 from .samples import samples_over as samples_over
@@ -8,3 +10,4 @@ from .signal import POSITION as POSITION
 from .signal import Channel as Channel
 from .signal import Signal as Signal
 from .signal import SignalValue as SignalValue
+from .table import read_table as read_table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -51,42 +52,93 @@ SIGNAL_TOPICS: dict[str, Callable[[Any], Iterator[Sample]]] = {
     "signals": signal_samples,
 }
 """The topics that contain signals, by their names relative to the rig; a later one replaces channels of an earlier."""
+_TOPICS = list(SIGNAL_TOPICS)
 
 
-def signals_of(messages: Iterable[tuple[str, Any]]) -> dict[str, Signal]:
-    """Return the signals in recorded messages by their name.
+class SignalCollector:
+    """Collects the signals in messages, recorded or live.
+
+    Of two topics with the same channel, the later one in `SIGNAL_TOPICS` counts. Of two sources with one name, the
+    second is called ``name_source``.
 
     Parameters
     ----------
-    messages
-        Name of a topic in `SIGNAL_TOPICS`, and a message.
-
-    Returns
-    -------
-    dict
-        Force and position always, without samples if none was recorded. Of two sources with one name, the second is
-        called ``name_source``.
+    longest
+        Number of the latest samples of each signal that are kept; None keeps all.
 
     Examples
     --------
     >>> from types import SimpleNamespace as Message
     >>> header = Message(stamp=Message(sec=1, nanosec=0))
-    >>> signals = signals_of([("load_frame/state", Message(header=header, force=250.0, position=1e-3))])
-    >>> {name: signal.values.tolist() for name, signal in signals.items()}
-    {'force': [250.0], 'position': [0.001]}
+    >>> collector = SignalCollector(longest=1)
+    >>> collector.add("load_frame/state", Message(header=header, force=250.0, position=1e-3))
+    ['force', 'position']
+    >>> collector.latest["force"].value
+    250.0
     """
-    samples: dict[Channel, dict[str, list[Sample]]] = {FORCE: {}, POSITION: {}}
-    for topic, message in messages:
+
+    def __init__(self, longest: int | None = None) -> None:
+        self._longest = longest
+        self._names: dict[Channel, str] = {}
+        self._topics: dict[str, str] = {}
+        self._samples: dict[str, deque[Sample]] = {}
+        for channel in (FORCE, POSITION):
+            self._name_of(channel)
+
+    def _name_of(self, channel: Channel) -> str:
+        name = self._names.get(channel)
+        if name is None:
+            name = channel.name
+            while name in self._samples:
+                name += f"_{channel.source}"
+            self._names[channel] = name
+            self._samples[name] = deque(maxlen=self._longest)
+        return name
+
+    def add(self, topic: str, message: Any) -> list[str]:
+        """Add a message of a topic in `SIGNAL_TOPICS`, and return the names of the signals that have new samples.
+
+        Raises
+        ------
+        RecordingError
+            The message is incomplete; see `signal_samples`.
+        """
+        changed: list[str] = []
         for sample in SIGNAL_TOPICS[topic](message):
-            samples.setdefault(sample.channel, {}).setdefault(topic, []).append(sample)
-    signals: dict[str, Signal] = {}
-    for channel, by_topic in samples.items():
-        chosen = next((by_topic[topic] for topic in reversed(SIGNAL_TOPICS) if topic in by_topic), [])
-        name = channel.name if channel.name not in signals else f"{channel.name}_{channel.source}"
-        signals[name] = Signal(
-            channel._replace(name=name),
-            np.array([sample.stamp for sample in chosen], dtype=np.int64),
-            np.array([sample.value for sample in chosen], dtype=float),
-            np.array([sample.sigma for sample in chosen], dtype=float),
-        )
-    return signals
+            name = self._name_of(sample.channel)
+            before = self._topics.setdefault(name, topic)
+            if before != topic:
+                if _TOPICS.index(before) > _TOPICS.index(topic):
+                    continue
+                self._topics[name] = topic
+                self._samples[name].clear()
+            self._samples[name].append(sample)
+            if name not in changed:
+                changed.append(name)
+        return changed
+
+    @property
+    def latest(self) -> dict[str, Sample]:
+        """Latest sample of each signal that has samples, by the name of the signal."""
+        return {name: samples[-1] for name, samples in self._samples.items() if samples}
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """The signals by their name; force and position always, without samples if none has arrived."""
+        return {
+            name: Signal(
+                channel._replace(name=name),
+                np.array([sample.stamp for sample in self._samples[name]], dtype=np.int64),
+                np.array([sample.value for sample in self._samples[name]], dtype=float),
+                np.array([sample.sigma for sample in self._samples[name]], dtype=float),
+            )
+            for channel, name in self._names.items()
+        }
+
+
+def signals_of(messages: Iterable[tuple[str, Any]]) -> dict[str, Signal]:
+    """Return the signals in recorded messages of `SIGNAL_TOPICS` by their name; see `SignalCollector`."""
+    collector = SignalCollector()
+    for topic, message in messages:
+        collector.add(topic, message)
+    return collector.signals

@@ -63,7 +63,7 @@ def samples_over(stamps: Sequence[int] | np.ndarray, begin: float, end: float) -
     return chosen
 
 
-def summarise(stamps: Sequence[int], values: Sequence[float] | np.ndarray) -> SampleSummary:
+def summarise(stamps: Sequence[int] | np.ndarray, values: Sequence[float] | np.ndarray) -> SampleSummary:
     """Summarise the samples of one signal.
 
     Parameters

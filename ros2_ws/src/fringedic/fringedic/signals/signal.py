@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fringedic.signals.samples import FEWEST_FOR_A_LINE, residuals, samples_over, summarise
+from fringedic.signals.samples import FEWEST_FOR_A_LINE, SampleSummary, residuals, samples_over, summarise
 
 
 class Channel(NamedTuple):
@@ -80,6 +80,18 @@ class Signal:
     values: np.ndarray
     sigmas: np.ndarray
 
+    def around(self, begin: float, end: float) -> Signal:
+        """Return the measured samples from the last one before a time [ns] to the first one after it."""
+        known = np.flatnonzero(np.isfinite(self.values))
+        first = max(int(np.searchsorted(self.stamps[known], begin, "right")) - 1, 0)
+        chosen = known[first : int(np.searchsorted(self.stamps[known], end)) + 1]
+        return replace(self, stamps=self.stamps[chosen], values=self.values[chosen], sigmas=self.sigmas[chosen])
+
+    def summary_over(self, begin: float, end: float) -> SampleSummary:
+        """Return mean, spread and drift of the samples during a time [ns]; see `samples_over`."""
+        within = samples_over(self.stamps, begin, end)
+        return summarise(self.stamps[within], self.values[within])
+
     def value_over(self, begin: float, end: float) -> SignalValue:
         """Return the value during a time [ns], NaN without a sample near it; see `samples_over`."""
         within = samples_over(self.stamps, begin, end)
@@ -91,7 +103,7 @@ class Signal:
         count = int(measured.sum())
         if count >= FEWEST_FOR_A_LINE:
             variance += float(np.sum(residuals(stamps, values) ** 2)) / (count - 2) / count
-        return SignalValue(summarise(stamps.tolist(), values).mean, float(np.sqrt(variance)))
+        return SignalValue(summarise(stamps, values).mean, float(np.sqrt(variance)))
 
     def on_the_clock_of_the_rig(self, offset: float, drift: float, since: int) -> Signal:
         """Return the signal of a sensor that stamps with its own clock, with the stamps of the rig's clock.

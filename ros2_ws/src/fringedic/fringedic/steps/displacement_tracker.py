@@ -12,7 +12,6 @@ from scipy.ndimage import distance_transform_edt
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.increments import PixelGrid, Total, compose, interpolation_noise
 from fringedic.errors import CorrelationError, ErrorCode
-from fringedic.frames.region import Region
 from fringedic.steps.parameters import DicParameters
 from fringedic.steps.references import LatestSteps, References, StepKey, check_fraction, no_reference, size_mismatch
 from fringedic.steps.statistics import measured_part_and_rms
@@ -256,7 +255,7 @@ class DisplacementTracker:
             if image is None:
                 raise no_reference(key, reference_key)
             parameters = self._parameters
-            mask = Region.from_text(parameters.region).mask_for(image.shape) if parameters.region else None
+            mask = None if parameters.region is None else parameters.region.mask_for(image.shape)
             self._wanted = 1.0 if mask is None else float(mask[:: parameters.spacing, :: parameters.spacing].mean())
             reference = Reference(image, window=parameters.window, spacing=parameters.spacing, mask=mask)
             measured = np.isfinite(image)

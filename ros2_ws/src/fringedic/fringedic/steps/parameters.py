@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, field_validator
 
 from fringedic.frames.region import Region
 
@@ -15,11 +15,19 @@ class Parameters(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def _checked_region(text: str) -> str:
-    """Return the text of a region; raise `ImageError` when it is none."""
-    if text:
-        Region.from_text(text)
-    return text
+def _region(value: Any) -> Region | None:
+    """Return the region that a value describes: polygons with the size of their image, or these as a line of YAML."""
+    if isinstance(value, Region):
+        return value
+    if value is None or value == "":
+        return None
+    return Region.from_text(value) if isinstance(value, str) else Region.from_content(value)
+
+
+RegionOfImage = Annotated[
+    Region | None, PlainValidator(_region), PlainSerializer(lambda region: region.to_text() if region else "")
+]
+"""A part of the image; None: the whole image."""
 
 
 class PhaseParameters(Parameters):
@@ -90,16 +98,11 @@ class PhaseParameters(Parameters):
         description="The step fails when the surface moves farther than this across the image while its frames are "
         "taken [px].",
     )
-    region: str = Field(
-        "",
+    region: RegionOfImage = Field(
+        None,
         description="Part of the image that shows the specimen, as `region` of dic: the checks of the frames use no "
         "other pixels; the phase is measured everywhere. Empty: the whole image.",
     )
-
-    @field_validator("region")
-    @classmethod
-    def _is_a_region(cls, text: str) -> str:
-        return _checked_region(text)
 
 
 class DicParameters(Parameters):
@@ -109,10 +112,9 @@ class DicParameters(Parameters):
         32, ge=8, le=256, description="Width [px] of the bi-triangular window with the same noise as the window in use."
     )
     spacing: int = Field(1, ge=1, le=256, description="Distance of the measured points in both directions [px].")
-    region: str = Field(
-        "",
-        description="Measured region of the reference image: polygons as `fringedic region` writes them, as one line "
-        "of YAML; empty: all.",
+    region: RegionOfImage = Field(
+        None,
+        description="Measured region of the reference image: polygons as `fringedic region` writes them; empty: all.",
     )
     method: Literal["dense", "zoi"] = Field(
         "dense",
@@ -139,11 +141,6 @@ class DicParameters(Parameters):
         le=1000,
         description="Number of the latest steps whose texture is kept, so that each can become the reference.",
     )
-
-    @field_validator("region")
-    @classmethod
-    def _is_a_region(cls, text: str) -> str:
-        return _checked_region(text)
 
 
 class CouplingParameters(Parameters):

@@ -8,7 +8,6 @@ import numpy as np
 from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.collector import Stack
 from fringedic.frames.noise import CameraNoise
-from fringedic.frames.region import Region
 from fringedic.patterns.pattern import PatternKind
 from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
@@ -82,7 +81,7 @@ def _settings(parameters: PhaseParameters) -> PhaseSettings:
         lens_blur=parameters.lens_blur_px,
         largest_error=parameters.maximum_error_fringe,
         largest_motion=parameters.maximum_motion_px,
-        region=Region.from_text(parameters.region) if parameters.region else None,
+        region=parameters.region,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fringedic.errors import FringedicError, reason_of
 from fringedic.frames.collector import FrameCollector, Stack
+from fringedic.frames.records import StepKey
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.frames import RecordedFrame, RecordedMessage
 from fringedic.rig.compatibility import RigSetup, check_calibration
@@ -123,24 +124,24 @@ class OfflinePipeline:
         elif event.topic == "experiment/reference" and not self._fixed_references:
             self._displacement.set_reference(message.experiment, message.step)
         elif event.topic == "experiment/step":
-            key = (message.experiment, message.step)
-            if message.stage == _ERROR_STAGE and key in self._collector.open_steps:
-                return [self._abandoned(*key)]
+            ended = (message.experiment, message.step)
+            if message.stage == _ERROR_STAGE:
+                return [self._abandoned(key) for key in self._collector.open_steps if key[:2] == ended]
         return []
 
     def finish(self) -> list[MeasuredStep]:
         """Return the steps that the recording leaves incomplete."""
-        return [self._abandoned(*key) for key in self._collector.open_steps]
+        return [self._abandoned(key) for key in self._collector.open_steps]
 
     def _set_calibration(self, calibration: RigModel) -> None:
         check_calibration(calibration, RigSetup())
         self._calibration = calibration
         self._shape.set_calibration(calibration)
 
-    def _abandoned(self, experiment: str, step: int) -> MeasuredStep:
-        self._answered.add(step)
-        error = self._collector.abandon(experiment, step)
-        return MeasuredStep(step, error=error.reason if error is not None else "")
+    def _abandoned(self, key: StepKey) -> MeasuredStep:
+        self._answered.add(key.step)
+        error = self._collector.abandon(key)
+        return MeasuredStep(key.step, error=error.reason if error is not None else "")
 
     def _take_frame(self, frame: RecordedFrame, wanted: AbstractSet[int] | None) -> list[MeasuredStep]:
         record = frame.record
@@ -148,13 +149,13 @@ class OfflinePipeline:
         if record.pattern.kind == PatternKind.OTHER or unwanted or record.step in self._answered:
             return []
         # steps are exposed one after the other: what is missing of one before is lost
-        lost = [self._abandoned(*key) for key in self._collector.open_steps if key[1] != record.step]
+        lost = [self._abandoned(key) for key in self._collector.open_steps if key.step != record.step]
         if record.step in self._fixed_references:
             self._displacement.set_reference(record.experiment, record.step)
         try:
             stack = self._collector.add(record, frame.image)
         except FringedicError as error:
-            self._collector.abandon(record.experiment, record.step)
+            self._collector.abandon(record.step_key)
             self._answered.add(record.step)
             return [*lost, MeasuredStep(record.step, record.stamp, error=reason_of(error))]
         if stack is None:

@@ -10,18 +10,26 @@ import numpy as np
 from pydantic import ValidationError
 
 from fringedic.errors import ConfigurationError
-from fringedic.metadata import Metadata
+from fringedic.metadata import Metadata, SpecimenMetadata
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, Parameters, PhaseParameters
 
-METADATA_PARAMETER = "facts"  # its name in recordings
+METADATA_PARAMETER = "metadata"
+_OLD_METADATA_PARAMETER = "facts"  # in recordings of earlier versions
+SPECIMEN = "specimen"
 _DIGITS = 9  # of a converted value, which does not show the rounding of its conversion
 MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
 
 
 def _renamed(name: str, scale: float | None = None) -> Callable[[Any], dict[str, Any]]:
     """Return the conversion of a parameter that has another name, and with a scale another unit."""
-    return lambda value: {name: value if scale is None else round(scale * value, _DIGITS)}
+
+    def scaled(value: Any) -> Any:
+        if scale is None:
+            return value
+        return [scaled(each) for each in value] if isinstance(value, list) else round(scale * value, _DIGITS)
+
+    return lambda value: {name: scaled(value)}
 
 
 def _part_of_the_sensor(region: Sequence[int]) -> dict[str, Any]:
@@ -36,6 +44,19 @@ _REPLACED: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
         "region_px": _part_of_the_sensor,
     },
     "coupling": {"watch_region_px": _renamed("drift_marker_px")},
+    "experiment": {
+        "exposure_times_s": _renamed("exposures_ms", 1e3),
+        _OLD_METADATA_PARAMETER: _renamed(METADATA_PARAMETER),
+    },
+    "extensometer": {"pad_px": _renamed("subset_px"), "largest_sigma": _renamed("largest_sigma_ustrain", 1e6)},
+    "load_frame": {"machine_file": _renamed("file")},
+    "projector": {
+        "screen": _renamed("source"),
+        "width_px": _renamed("width"),
+        "height_px": _renamed("height"),
+        "response_file": _renamed("response_curve"),
+    },
+    "recorder": {"split_s": _renamed("split_minutes", 1 / 60)},
 }
 
 
@@ -101,7 +122,7 @@ class RecordedParameters:
     Parameters
     ----------
     overrides
-        Values that replace recorded ones, ``{"dic.window": 24}``.
+        Values that replace recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
 
     Raises
     ------
@@ -115,9 +136,12 @@ class RecordedParameters:
         self.coupling = CouplingParameters()
         self._overrides: dict[str, dict[str, Any]] = {"phase": {}, "dic": {}, "coupling": {}}
         self._others: dict[str, dict[str, Any]] = {}
-        self._metadata: Metadata | None = None
+        self._of_specimen = of_specimen(overrides)
+        self._metadata = with_specimen(Metadata(), self._of_specimen) if self._of_specimen else None
         for name, value in overrides.items():
             node, _, parameter = name.partition(".")
+            if node == SPECIMEN:
+                continue
             if node not in self._overrides or parameter not in type(getattr(self, node)).model_fields:
                 raise ConfigurationError(f"there is no parameter '{name}'; {self._known(node)}")
             self._overrides[node][parameter] = value
@@ -126,7 +150,7 @@ class RecordedParameters:
 
     def _known(self, node: str) -> str:
         if node not in self._overrides:
-            return f"give one of {', '.join(self._overrides)}, such as dic.window"
+            return f"give one of {', '.join([*self._overrides, SPECIMEN])}, such as dic.window"
         return f"known are {', '.join(f'{node}.{key}' for key in self._model(node).model_fields)}"
 
     def settings(self, calibration: RigModel | None) -> StepSettings:
@@ -144,7 +168,7 @@ class RecordedParameters:
             return
         text = recorded.pop(METADATA_PARAMETER, "")
         if text:
-            self._metadata = Metadata.from_text(text)
+            self._metadata = with_specimen(Metadata.from_text(text), self._of_specimen)
         self._others[message.node] = recorded
 
     def _model(self, node: str) -> type[Parameters]:
@@ -167,11 +191,39 @@ def _value(value: Any) -> Any:
     return content.tolist() if isinstance(content, np.ndarray) else content
 
 
+def of_specimen(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the overrides of the specimen by the name of the entry.
+
+    Examples
+    --------
+    >>> of_specimen({"dic.window": 24, "specimen.force_sign": -1})
+    {'force_sign': -1}
+    """
+    named = {name.partition("."): value for name, value in overrides.items()}
+    return {parameter: value for (node, _, parameter), value in named.items() if node == SPECIMEN}
+
+
+def with_specimen(metadata: Metadata, entries: Mapping[str, Any]) -> Metadata:
+    """Return metadata with other entries of the specimen.
+
+    Raises
+    ------
+    ConfigurationError
+        An entry is unknown or not allowed.
+    """
+    try:
+        specimen = SpecimenMetadata.model_validate({**metadata.specimen.model_dump(), **entries})
+    except ValidationError as error:
+        problems = "; ".join(f"{SPECIMEN}.{each['loc'][0]}: {each['msg']}" for each in error.errors())
+        raise ConfigurationError(f"{problems}; known are {', '.join(SpecimenMetadata.model_fields)}") from error
+    return metadata.model_copy(update={SPECIMEN: specimen})
+
+
 def recorded_metadata(messages: Iterable[Any]) -> Metadata:
     """Return the metadata of specimen and hardware from the published parameters of the nodes."""
     metadata = Metadata()
     for message in messages:
         for each in message.parameters:
-            if each.name == METADATA_PARAMETER and each.value.string_value:
+            if each.name in (METADATA_PARAMETER, _OLD_METADATA_PARAMETER) and each.value.string_value:
                 metadata = Metadata.from_text(each.value.string_value)
     return metadata

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError
 
 from fringedic.errors import ErrorCode, RecordingError
+from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
-from fringedic.recording.frames import IMAGE, records
+from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import IMAGE
 from fringedic.rig.compatibility import RigSetup
 from fringedic.rig.geometry import UNKNOWN_FIRST
-from fringedic.steps.recorded_parameters import RecordedParameters
+from fringedic.steps.recorded_parameters import MODELS, RecordedParameters
+
+EXPERIMENT = "experiment"  # node that records the metadata, with sign and tare of the force
 
 
 class RecordedSizes(BaseModel):
@@ -43,7 +47,7 @@ class RecordedSizes(BaseModel):
             One of them is no number of pixels; the message names it.
         """
         try:
-            return cls.model_validate(rig.get("experiment", {}))
+            return cls.model_validate(rig.get(EXPERIMENT, {}))
         except ValidationError as error:
             first = error.errors()[0]
             raise RecordingError(
@@ -92,6 +96,7 @@ def recorded_setup(bag: BagReader) -> RigSetup:
         camera_size=None if image is None else (image.width, image.height),
         projector_size=sizes.projector_size if shown else None,
         camera_first=sizes.camera_first,
+        sensor=next((each.sensor for each in records(bag)), None),
         patterns=shown if parameters.phase.relative_phase == "refuse" else (),
     )
 
@@ -114,6 +119,24 @@ def require_calibration(bag: BagReader) -> None:
             f"{bag.path} contains no calibration of the rig, which fringes need: give one with --calibration FILE",
             code=ErrorCode.NO_CALIBRATION,
         )
+
+
+def missing_settings(bag: BagReader, exposed: Iterable[FrameRecord]) -> list[str]:
+    """Return the nodes whose settings a recording should contain and does not: it was split or filtered.
+
+    Parameters
+    ----------
+    bag, exposed
+        The recording and its exposure records.
+
+    Raises
+    ------
+    RecordingError
+        The recording is damaged.
+    """
+    fringes = any(each.pattern.kind in PHASE_KINDS for each in exposed)
+    recorded = {each.node for each in _messages(bag, "node_parameters")}
+    return [node for node in (*MODELS, EXPERIMENT) if node not in recorded and (fringes or node in ("dic", EXPERIMENT))]
 
 
 def _first_fringe_step(bag: BagReader) -> list[ProjectedPattern]:

@@ -4,5 +4,7 @@ from .numbers import counted as counted
 from .numbers import grouped as grouped
 from .numbers import number_text as number_text
 from .optional_packages import optional_import as optional_import
+from .path_names import path_name as path_name
+from .path_names import recording_names as recording_names
 from .yaml_text import InvalidYamlError as InvalidYamlError
 from .yaml_text import load_yaml as load_yaml

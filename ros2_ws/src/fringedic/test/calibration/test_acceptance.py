@@ -19,7 +19,7 @@ from fringedic.calibration.acceptance import (
 )
 from fringedic.calibration.acceptance_sentences import acceptance_text, place_in_words
 from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
-from fringedic.configuration.rig_file import RigFile, load_calibration
+from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError
 from fringedic.report.acceptance import write_acceptance_page
 
@@ -50,7 +50,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def model(rig):
-    return load_calibration(rig, "rig.yaml")
+    return rig.rig_model
 
 
 def shape_of(rig, model, place):

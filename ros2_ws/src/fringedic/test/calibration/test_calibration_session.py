@@ -19,7 +19,7 @@ from fringedic.calibration.recorded import calibrate_recording
 from fringedic.calibration.sentences import (
     check_in_words,
     in_force_words,
-    place_in_words,
+    placing_instruction,
     plane_in_words,
     verdict_sentence,
 )
@@ -72,12 +72,12 @@ def session(measured: CalibrationSession) -> CalibrationSession:
 
 
 def test_words_for_an_operator() -> None:
-    assert "grid" in place_in_words(PlaneKind.GRID, 0.0, 0.0)
-    assert "with the grid on it to +12.00 degree (right" in place_in_words(PlaneKind.GRID, math.radians(12), 0.0)
-    assert place_in_words(PlaneKind.PLANE, math.radians(-12), 0.0).endswith(
+    assert "grid" in placing_instruction(PlaneKind.GRID, 0.0, 0.0)
+    assert "with the grid on it to +12.00 degree (right" in placing_instruction(PlaneKind.GRID, math.radians(12), 0.0)
+    assert placing_instruction(PlaneKind.PLANE, math.radians(-12), 0.0).endswith(
         "-12.00 degree (left side towards the camera)"
     )
-    assert place_in_words(PlaneKind.PLANE, 0.0, 2.5e-3).endswith("+0.00 degree, 2.500 mm above its place")
+    assert placing_instruction(PlaneKind.PLANE, 0.0, 2.5e-3).endswith("+0.00 degree, 2.500 mm above its place")
 
 
 def test_planes_need_the_grid() -> None:

@@ -28,16 +28,17 @@ from fringedic.campaign import (
     forget_failures,
     load_campaign,
     process_unit,
+    read_plan,
     status_of,
     unit,
     update_plan,
 )
+from fringedic.campaign.group_store import GroupStore
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
 from fringedic.campaign.sentences import CampaignProgress, plan_sentences, status_sentences
-from fringedic.campaign.settings import Labels
-from fringedic.campaign.store import GroupStore
+from fringedic.campaign.settings import RecordingEntry
 from fringedic.datasets.processing import process_into
 from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
@@ -197,8 +198,8 @@ def digests(outcomes: Iterable[Receipt | Failure]) -> dict[str, str]:
 
 def test_images_of_another_size_are_unusual(done: Campaign) -> None:
     summary = summarise(str(RECORDED))
-    found = [(Found(name, name, Labels()), summary) for name in ("a", "b")]
-    other = (Found("c", "c", Labels()), replace(summary, image_shape=(60, 80)))
+    found = [(Found(name, name, RecordingEntry(path="")), summary) for name in ("a", "b")]
+    other = (Found("c", "c", RecordingEntry(path="")), replace(summary, image_shape=(60, 80)))
     plan = plan_of(done, [*found, other])
     assert plan.unusual_shapes == {"c": (60, 80)}
     assert Plan.from_document(json.loads(json.dumps(plan.to_document()))) == plan
@@ -264,7 +265,7 @@ def test_the_plan_of_a_thousand_recordings_takes_little_memory(done: Campaign) -
     summary = summarise(str(RECORDED))
 
     def peak(count: int) -> int:
-        found = ((Found(f"plate-{number}", str(RECORDED), Labels()), summary) for number in range(count))
+        found = ((Found(f"plate-{number}", str(RECORDED), RecordingEntry(path="")), summary) for number in range(count))
         tracemalloc.start()
         plan = plan_of(done, found)
         _, largest = tracemalloc.get_traced_memory()
@@ -308,7 +309,10 @@ def test_a_calibration_replaces_the_recorded_one(tmp_path: Path) -> None:
     _, message, _ = next(reader.messages(reader.find("calibration").values()))
     calibration = tmp_path / "calibration.yaml"
     replace(fringedic.RigModel.from_message(message), projector_rotation=(0.0, 0.0, 0.001)).to_yaml(calibration)
-    campaign = written(copied(tmp_path, "plate"), calibration="calibration.yaml", reference=1)
+    entries = [{"path": "recordings/plate", "calibration": "calibration.yaml"}, {"path": "recordings/recorded"}]
+    campaign = written(copied(tmp_path, "plate", "recorded"), recordings=entries, reference=1)
+    assert [bool(unit.settings.calibration) for unit in update_plan(campaign).units] == [True, False]
+    campaign = written(tmp_path, recordings=entries[:1], reference=1)
     run(campaign)
     model = fringedic.RigModel.from_yaml(calibration)
     file = fringedic.process_bag(RECORDED, output=tmp_path / "desk.nc", calibration=model, reference=1)
@@ -463,12 +467,65 @@ def test_a_wrong_file_is_refused(tmp_path: Path, content: dict[str, object], sen
 
 
 def test_entries_have_to_name_recordings_once(tmp_path: Path) -> None:
-    with pytest.raises(CampaignError, match="no recording matches 'nothing-\\*'"):
-        update_plan(written(tmp_path, recordings=[{"path": "nothing-*"}]))
     copied(tmp_path, "plate")
-    twice = [{"path": "recordings"}, {"path": "recordings/plate"}]
+    twice: list[dict[str, object]] = [{"path": "recordings"}, {"path": "recordings/plate"}]
     with pytest.raises(CampaignError, match="is named by two entries"):
         update_plan(written(tmp_path, recordings=twice))
+    twice[0]["exclude"] = ["recordings/pl*"]
+    assert list(update_plan(written(tmp_path, recordings=twice)).refused) == ["recordings"]
+
+
+def test_a_recording_above_the_campaign_stays_inside_the_store(tmp_path: Path) -> None:
+    shutil.copytree(RECORDED, tmp_path / "plate-7" / "bag")
+    folder = tmp_path / "plate-7" / "batch"
+    folder.mkdir()
+    campaign = written(folder, recordings=[{"path": "../bag"}])
+    assert set(run(campaign)) == {"plate-7"}
+    assert sorted(path.name for path in folder.iterdir()) == ["campaign.yaml", "store"]
+    assert {path.name for path in Path(campaign.store).iterdir()} == {"begun", "plan.json", "receipts", "recordings"}
+    tree, _ = fringedic.open_campaign(folder)
+    assert list(tree.children) == ["plate-7"]
+
+
+@pytest.mark.parametrize("name", ["recordings/..", "recordings/../../x", "/etc/x", "", "a//b", "."])
+def test_nothing_is_written_outside_a_store(tmp_path: Path, name: str) -> None:
+    store = CampaignStore(str(tmp_path / "store"))
+    for write in (lambda: store.write(name, {}), lambda: store.remove(name), lambda: store.zarr_store(f"../{name}")):
+        with pytest.raises(CampaignError, match="is no name in a store"):
+            write()
+    assert not list(tmp_path.iterdir())
+
+
+def test_entries_have_their_own_settings_and_a_missing_one_is_told(tmp_path: Path) -> None:
+    copied(tmp_path, *NAMES, "plate-3")
+    entries: list[dict[str, object]] = [
+        {"path": "recordings/plate-*", "exclude": ["recordings/plate-[23]"]},
+        {"path": "recordings/plate-2", "settings": {"dic.window": 24}},
+        {"path": "recordings/plat-9"},
+    ]
+    campaign = written(tmp_path, recordings=entries, settings={"dic.window": 40, "dic.spacing": 2})
+    assert set(run(campaign)) == set(NAMES)
+    tree, _ = fringedic.open_campaign(tmp_path)
+    used = [json.loads(tree[name].attrs["parameters"])[0]["parameters"]["dic"] for name in NAMES]
+    assert [(each["window"], each["spacing"]) for each in used] == [(40, 2), (24, 2)]
+    store = CampaignStore(campaign.store)
+    status = status_of(store, read_plan(store))
+    cause = "there is no recording; correct the entry in the file of the campaign"
+    assert status_sentences(status) == [
+        "2 of 3 recordings complete, 0 failed, 0 waiting, 1 refused",
+        f"refused: {tmp_path}/recordings/plat-9: {cause}",
+    ]
+    assert run(campaign) == {}
+    assert Plan.from_document(json.loads(json.dumps(status.plan.to_document()))) == status.plan
+
+
+def test_a_plan_of_an_earlier_version_has_one_processing_of_all_units(done: Campaign) -> None:
+    plan = read_plan(CampaignStore(done.store))
+    document = plan.to_document()
+    document["processing"] = document["processing"][0]
+    for each in document["units"]:
+        del each["processing"]
+    assert Plan.from_document({**document, "settings_hash": "0"}) == plan
 
 
 def test_names_are_the_shortest_that_distinguish(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from fringedic.configuration.programme import Programme
-from fringedic.configuration.rig_file import load_calibration, load_programme, load_rig_file
+from fringedic.configuration.rig_file import load_programme, load_rig_file
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import ConfigurationError
 from fringedic.metadata import Metadata, NoiseFloorMetadata
@@ -96,7 +96,7 @@ def test_its_calibration_is_that_of_the_twin(tmp_path):
     calibration = calibration_of(rig.virtual_configuration())
     for name, value in VirtualRig(rig.virtual_configuration()).optics().items():
         assert getattr(calibration, name) == (tuple(value) if isinstance(value, list) else value), name
-    assert calibration == load_calibration(rig, "RIG.yaml")
+    assert calibration == rig.rig_model
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_default_pitches_follow_the_projector(tmp_path, size, pitches):
 
 def test_calibration_in_the_file_is_translated_to_si(tmp_path):
     file = write(tmp_path, CALIBRATED)
-    model = load_calibration(load_rig_file(file), file)
+    model = load_rig_file(file).rig_model
     assert (model.identifier, model.source) == ("bench 2", str(file))
     assert (model.camera_distance, model.pixel_size) == pytest.approx((0.4, 1e-4))
     assert model.projector_position == pytest.approx((-0.18, 0.0015, 0.38))
@@ -121,23 +121,28 @@ def test_calibration_in_the_file_is_translated_to_si(tmp_path):
 
 def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     file = write(tmp_path, CALIBRATED)
-    model = replace(load_calibration(load_rig_file(file), file), camera_first_column=64)
+    model = replace(load_rig_file(file).rig_model, camera_first_column=64)
     model.to_yaml(tmp_path / "bench.yaml")
     named = write(tmp_path, changed(CALIBRATED, "calibration", "bench.yaml"), "named.yaml")
-    assert load_calibration(load_rig_file(named), named) == RigModel.from_yaml(tmp_path / "bench.yaml")
+    assert load_rig_file(named).rig_model == RigModel.from_yaml(tmp_path / "bench.yaml")
     content = yaml.safe_load((tmp_path / "bench.yaml").read_text())
     pasted = write(tmp_path, changed(CALIBRATED, "calibration", content), "pasted.yaml")
-    again = load_calibration(load_rig_file(pasted), pasted)
+    again = load_rig_file(pasted).rig_model
     assert again.projector_rotation == pytest.approx(model.projector_rotation)
     assert (again.camera_first_column, again.camera_first_row) == (64, -1)
     assert (again.source, again.camera_distance) == (model.source, pytest.approx(model.camera_distance))
+    pasted = write(tmp_path, changed(CALIBRATED, "calibration", {**content, "sensor": "right"}), "right.yaml")
+    assert load_rig_file(pasted).rig_model.sensor == "right", "not that of the rig file"
 
 
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
         ("camera.exposure_mss", 3, r"camera\.exposure_mss: unknown key; known are source, width, .*exposure_ms"),
-        ("colour", "red", r"colour: unknown key; known are namespace, camera, projector"),
+        ("colour", "red", r"colour: unknown key; known are namespace, sensor, camera, projector"),
+        ("sensor", "", r"sensor: it has to be a name of letters, digits .*that begins with a letter \(it is ''\)$"),
+        ("sensor", "../left", r"sensor: it has to be a name of letters, .* \(it is '../left'\)$"),
+        ("sensor", 2, r"sensor: Input should be a valid string \(it is 2\)$"),
         ("nodes.dic.windw", 24, r"nodes\.dic\.windw: unknown key; known are window, spacing"),
         ("nodes.dic.window", 4, r"nodes\.dic\.window: Input should be greater than or equal to 8 \(it is 4\)"),
         ("nodes.dic.window", "24", r"nodes\.dic\.window: Input should be a valid integer \(it is '24'\)"),
@@ -153,11 +158,16 @@ def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
         ("camera.source", "aravis", r"camera: source: aravis needs width and height"),
         ("projector.source", "display", r"projector: source: display needs width and height"),
         ("load_frame.source", "machine", r"load_frame: source: machine needs the key file"),
-        ("load_frame.file", "machine.yaml", r"load_frame: source: machine needs the key file, and only this"),
+        (
+            "load_frame.file",
+            "machine.yaml",
+            r"load_frame: source: simulated does not use file; remove it: the section vir",
+        ),
+        ("load_frame", {"source": "machine", "file": 5}, r"load_frame\.file: Input should be a valid string"),
         ("camera.source", "files", r"camera: source: files needs the key files"),
         ("camera.width", 640, r"camera is 640x120 px, the virtual rig's camera has 160x120 px"),
         ("sequence.pitches_px", [20, 100], r"sequence: pitches_px must become smaller"),
-        ("sequence.shifts", 2, r"sequence\.shifts: Input should be greater than or equal to 3"),
+        ("sequence.shifts", 2, r"sequence\.shifts\.0: Input should be greater than or equal to 3"),
         ("namespace", "my rig", r"namespace: String should match pattern"),
         ("virtual_rig", ..., r"camera\.source: virtual needs the section virtual_rig, for example"),
         ("virtual_rig.preset", "wood", r"virtual_rig: preset 'wood' is unknown; choose from plate, skin"),
@@ -252,7 +262,7 @@ def test_a_wrong_calibration_is_named_with_file_and_key(tmp_path, path, value, m
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty or has no 'key: value'; keys are namespace, camera"),
+        ("", "is empty or has no 'key: value'; keys are namespace, sensor, camera"),
         ("a: [1", "is not YAML"),
         ("- a", "is empty"),
     ],
@@ -315,8 +325,8 @@ def test_the_noise_floor_of_its_file_is_recorded(tmp_path):
     noise = NoiseFloorMetadata(steps=3, window_px=24, spatial={"displacement_x_px": 0.01})
     (tmp_path / "noise.yaml").write_text(yaml.safe_dump(noise.model_dump()))
     path = write(tmp_path, VIRTUAL + "noise_floor_file: noise.yaml\n")
-    recorded = Metadata.from_text(load_rig_file(path).metadata(path).to_text())
+    recorded = Metadata.from_text(load_rig_file(path).metadata().to_text())
     assert recorded.noise == noise
     (tmp_path / "noise.yaml").write_text("window: 3")
     with pytest.raises(ConfigurationError, match="no noise floor"):
-        load_rig_file(path).metadata(path)
+        load_rig_file(path).metadata()

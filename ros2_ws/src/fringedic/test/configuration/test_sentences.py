@@ -7,7 +7,7 @@ from math import nan
 
 import pytest
 
-from fringedic.configuration.conditions import MetCondition, Quantity
+from fringedic.configuration.conditions import MetCondition
 from fringedic.configuration.forecast import Forecast
 from fringedic.configuration.programme import BlockEnd
 from fringedic.configuration.sentences import block_end_sentence, condition_sentence, forecast_sentence
@@ -26,11 +26,12 @@ def test_forecast() -> None:
 @pytest.mark.parametrize(
     ("condition", "sentence"),
     [
-        (MetCondition(Quantity.FORCE, 10.0, 10.0, rising=True), "the force of 10 N reached 10 N"),
-        (MetCondition(Quantity.FORCE, -11.0, -10.0, rising=False), "the force of -11 N fell to -10 N"),
-        (MetCondition(Quantity.STRAIN, 2.01, 2.0, rising=True), "the strain of 2.01 % reached 2 %"),
-        (MetCondition(Quantity.STRAIN, nan, 2.0, rising=True), "the strain is not known"),
-        (MetCondition(Quantity.VALID_FRACTION, 0.5, 0.6, rising=False), "the valid fraction of 0.5 fell to 0.6"),
+        (MetCondition("force", 10.0, 10.0, rising=True, unit="N"), "the force of 10 N reached 10 N"),
+        (MetCondition("force", -11.0, -10.0, rising=False, unit="N"), "the force of -11 N fell to -10 N"),
+        (MetCondition("strain", 2.01, 2.0, rising=True, unit="%"), "the strain of 2.01 % reached 2 %"),
+        (MetCondition("strain", nan, 2.0, rising=True, unit="%"), "the strain is not known"),
+        (MetCondition("valid fraction", 0.5, 0.6, rising=False), "the valid fraction of 0.5 fell to 0.6"),
+        (MetCondition("temperature_grip", 321.0, 320.0, rising=True), "the temperature_grip of 321 reached 320"),
     ],
 )
 def test_conditions(condition: MetCondition, sentence: str) -> None:

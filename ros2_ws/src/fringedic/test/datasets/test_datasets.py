@@ -27,6 +27,7 @@ from fringedic.datasets.quantities import SCALARS, STEP_NUMBERS
 from fringedic.datasets.rows import Row, with_lost_steps
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.datasets.signals import signal_names, signal_series
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import ConfigurationError, DatasetError, RecordingError
 from fringedic.evaluation import compare_with_truth, truth_errors
 from fringedic.frames.collector import Stack
@@ -40,10 +41,11 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
 from fringedic.report.tables import step_columns
-from fringedic.signals import Channel
+from fringedic.signals import Channel, Signal
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
+from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.virtual_rig import VirtualRig
 
@@ -195,6 +197,7 @@ class Bench:
             ("phase", PhaseParameters()),
             ("dic", self.displacement.parameters),
             ("coupling", self.shape.parameters),
+            ("experiment", ExperimentParameters()),
         ):
             self.parameters(node, model)
         values = asdict(self.calibration)
@@ -696,7 +699,8 @@ def test_a_recording_without_calibration_gives_the_displacement_and_says_what_is
     for number in range(2):
         bench.step(number, POSITIONS[number], derived=False)
     bench.writer.close()
-    with open_experiment(process_bag(tmp_path / "plate", overrides={"dic.spacing": 4})) as dataset:
+    given = {"dic.spacing": 4, "specimen.force_sign": 1, "specimen.force_tare_newton": 0.0}
+    with open_experiment(process_bag(tmp_path / "plate", overrides=given, reference=0)) as dataset:
         assert "no calibration yet" in str(dataset.error.values[1])
         assert np.isfinite(dataset.displacement_y[1]).mean() > 0.8
         assert np.isnan(dataset.w).all()
@@ -735,6 +739,17 @@ def test_another_sensor_is_in_the_dataset_beside_force_and_position(processed):
     assert {"force [N]", "position [mm]", "temperature_grip [K]", "sigma of temperature_grip [K]"} <= set(headings)
     with pytest.raises(DatasetError, match="no samples of a signal 'voltage', only those of: force, position, temp"):
         signal_series(processed, "voltage")
+
+
+def test_signals_of_any_names_have_their_own_variables(tmp_path):
+    names = ["grip 1", "grip_1", "grip/1", "grip", "grip_sigma", "w", "step"]
+    signals = [Signal(Channel(name, "length", "m"), *(np.arange(3) for _ in range(3))) for name in names]
+    settings = StepSettings({"dic": DicParameters()}, None, {}, None)
+    with DatasetWriter(tmp_path / "many.nc", {}) as writer:
+        writer.add_signals(signals)
+        writer.add(Row(0, 0, maps={"displacement_x": np.zeros((8, 8), np.float32)}), settings)
+    with open_experiment(tmp_path / "many.nc") as dataset:
+        assert len(signal_names(dataset)) == len(names)
 
 
 def test_zarr_holds_the_same(bench, processed, tmp_path):

@@ -79,6 +79,15 @@ def test_the_uncertainty_of_the_force_is_that_of_its_signal_where_the_sensor_sta
     assert elastic_constants(unknown, sigma_force=SIGMA_FORCE) == elastic_constants(plate(1), sigma_force=SIGMA_FORCE)
 
 
+def test_the_force_may_be_that_of_another_load_cell() -> None:
+    dataset = plate(1)
+    upper = dataset.rename(force="force_upper").assign(force=dataset["force"] * np.nan)
+    assert elastic_constants(upper, load="force_upper") == elastic_constants(dataset)
+    upper["force_upper"].attrs |= {"units": "N", "quantity": "force"}
+    with pytest.raises(DatasetError, match=r"no force \[N\] 'lower', only force_upper; "):
+        elastic_constants(upper, load="lower")
+
+
 def test_constants_are_those_of_the_reference_of_most_steps() -> None:
     """From step 4 on the strain is that since step 4, and the force is still the whole one."""
     dataset = plate(1)

@@ -86,6 +86,8 @@ def test_profile_follows_a_line() -> None:
     holed = profile(dataset, ["u"], (0, 40), (156, 40))
     assert np.isnan(holed.u[1].values[61:67]).all()
     assert np.isfinite(holed.u[1].values[70:]).all()
+    with pytest.raises(DatasetError, match="has no length; give two different points"):
+        profile(dataset, ["u"], (3, 2), (3, 2))
     with pytest.raises(DatasetError, match="leaves the result"):
         profile(dataset, ["u"], (0, 0), (400, 0))
     with pytest.raises(DatasetError, match="no map e_11"):
@@ -193,7 +195,7 @@ def test_force_and_stress_against_strain() -> None:
             force_curve(dataset, strain, **wrong)
     with pytest.raises(DatasetError, match="has 3 steps"):
         force_curve(dataset, [0.0])
-    with pytest.raises(DatasetError, match="no load frame"):
+    with pytest.raises(DatasetError, match=r"the dataset has no force \[N\] .force., only none; record a load frame"):
         force_curve(dataset.drop_vars("force"), strain)
 
 

@@ -35,6 +35,16 @@ def test_whole_truth_is_compared(dataset, file):
     assert compare_with_truth(dataset, file)["measured_fraction"].values.tolist() == [1, 1, 1]
 
 
+def test_heights_of_the_exact_calibration_are_compared(dataset, file):
+    """Heights that are 3 µm too large, with one pixel without phase."""
+    with open_truth(file) as truth:
+        dataset["phase"] = ("step", "row", "column"), truth.z_deformed.values + 3e-6
+    dataset["phase"][1, 0, 0] = np.nan
+    found = compare_with_truth(dataset, file, reconstruct=lambda phase: xr.Dataset({"z": phase}))
+    assert found["error_z_exact"].values == pytest.approx([3, 3, 3], rel=1e-6)
+    assert found["error_z_exact"].attrs["units"] == "µm"
+
+
 @pytest.mark.parametrize("part", [0, 0.01, 0.3, 0.7, 0.99])
 def test_truncated_truth_is_named(dataset, file, part):
     data = file.read_bytes()

@@ -8,12 +8,14 @@ import tracemalloc
 from pathlib import Path
 
 import h5py
+import meshio
 import numpy as np
 import pytest
 import pyvista
 import scipy.io
 import tifffile
 import xarray as xr
+import zarr
 from aligned_rig import aligned_rig
 from PIL import Image
 
@@ -156,6 +158,12 @@ def test_netcdf_opens_in_hdf5(dataset, exported):
         assert file["w"].attrs["units"] in ("m", b"m")
 
 
+def test_zarr_opens_without_this_library(dataset, exported):
+    group = zarr.open_group(exported["zarr"].path, mode="r")
+    np.testing.assert_array_equal(group["w"][2], dataset.w.sel(step=2).values)
+    assert group["w"].attrs["units"] == "m"
+
+
 def test_vtk_series_shows_the_surface_in_mm_with_its_displacement(dataset, exported):
     reader = pyvista.get_reader(exported["vtk"].path / "sheet.pvd")
     assert reader.time_values == [0.0, 1.5, 3.0]
@@ -178,21 +186,21 @@ def test_vtk_series_shows_the_surface_in_mm_with_its_displacement(dataset, expor
 
 
 def test_ply_holds_the_moved_surface(dataset, exported):
+    """Read by two programs with readers of their own, of which one allows comments of a line only."""
     file = exported["ply"].path / "step_002.ply"
-    mesh = pyvista.read(file)
     moved = [
         measured(dataset, axis, 2, 1e-3) + measured(dataset, way, 2, 1e-3)
         for axis, way in zip("xyz", "uvw", strict=True)
     ]
-    np.testing.assert_allclose(mesh.points, np.stack(moved, axis=-1), rtol=1e-6, atol=1e-9)
-    assert mesh.n_cells == (ROWS - 1) * (COLUMNS - 1) - 4
-    header, body = file.read_bytes().split(b"end_header\n", 1)
-    lines = header.decode("ascii").splitlines()
-    names = [line.split()[-1] for line in lines if line.startswith("property float")]
-    vertices = np.frombuffer(body, "<f4", len(names) * mesh.n_points).reshape(-1, len(names))
-    np.testing.assert_allclose(vertices[:, names.index("w_um")], measured(dataset, "w", 2, 1e-6), rtol=1e-6)
+    for points in (pyvista.read(file).points, meshio.read(file).points):
+        np.testing.assert_allclose(points, np.stack(moved, axis=-1), rtol=1e-6, atol=1e-9)
+    mesh = meshio.read(file)
+    assert [(block.type, len(block.data)) for block in mesh.cells] == [("quad", (ROWS - 1) * (COLUMNS - 1) - 4)]
+    np.testing.assert_allclose(mesh.point_data["w_um"], measured(dataset, "w", 2, 1e-6), rtol=1e-6)
+    lines = file.read_bytes().split(b"end_header\n", 1)[0].decode("ascii").splitlines()
     assert {"comment units mm", "comment correlated_step 1", "comment increments_summed 1"} <= set(lines)
-    check_metadata(json.loads(next(line for line in lines if "metadata" in line).removeprefix("comment metadata ")))
+    assert max(map(len, lines)) < 80
+    check_metadata(json.loads((file.parent / "metadata.json").read_text("utf-8")))
 
 
 def test_csv_names_its_units(dataset, exported):

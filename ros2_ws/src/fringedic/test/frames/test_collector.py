@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fringedic.errors import ErrorCode, StepError
+from fringedic.errors import ErrorCode, ImageError, StepError
 from fringedic.frames.collector import FrameCollector
-from fringedic.frames.records import FrameRecord
+from fringedic.frames.records import FrameRecord, StepKey
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 
 
@@ -124,21 +124,41 @@ def test_two_periods_of_shifts_are_whole():
 def test_abandoning_a_step_tells_what_was_missing_and_makes_the_rest_late():
     collector, sequence = FrameCollector(), records(step=4)
     feed(collector, sequence[:6])
-    assert collector.open_steps == [("plate", 4)]
-    error = collector.abandon("plate", 4)
+    assert collector.open_steps == [StepKey("plate", 4)]
+    error = collector.abandon(StepKey("plate", 4))
     assert error is not None
     assert error.code is ErrorCode.FRAME_MISSING
     assert "frames 6, 7 of 8" in str(error)
     assert collector.open_steps == []
     with pytest.raises(StepError, check=lambda e: e.code is ErrorCode.FRAME_LATE):
         collector.add(sequence[6], image(sequence[6]))
-    assert collector.abandon("plate", 5) is None
+    assert collector.abandon(StepKey("plate", 5)) is None
 
 
 def test_the_same_numbers_in_another_experiment_are_another_step():
     collector = FrameCollector()
     feed(collector, records(experiment="plate"))
     assert feed(collector, records(experiment="skin"))[-1].experiment == "skin"
+
+
+def test_the_same_step_of_another_sensor_is_another_stack():
+    collector = FrameCollector()
+    left, right = ([replace(each, sensor=sensor) for each in records()] for sensor in ("left", "right"))
+    pairs = list(zip(left, right, strict=True))
+    assert feed(collector, [each for pair in pairs[:-1] for each in pair])[-1] is None
+    assert collector.open_steps == [StepKey("plate", 0, "left"), StepKey("plate", 0, "right")]
+    stacks = feed(collector, pairs[-1])
+    assert [(stack.sensor, {each.sensor for each in stack.records}) for stack in stacks] == [
+        ("left", {"left"}),
+        ("right", {"right"}),
+    ]
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a.b", "2nd", "a__b", "left\n", "é", "x" * 61, None])
+def test_a_name_of_a_sensor_that_would_be_no_topic_or_no_file_is_refused(name):
+    white = ProjectedPattern(PatternKind.WHITE)
+    with pytest.raises(ImageError, match=r"^sensor is .*: it has to be a name of letters, digits and single under"):
+        FrameRecord("plate", 0, 0, 1, white, 5, 0.01, sensor=name)
 
 
 def test_a_white_step_is_a_stack_of_one():

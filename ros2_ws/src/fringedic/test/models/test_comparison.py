@@ -20,6 +20,8 @@ from fringedic.errors import ExportError, ModelError
 from fringedic.export import write_mesh
 from fringedic.models import Model, compare_model, on_mesh, read_model
 from fringedic.models.levelling import Levelling
+from fringedic.models.model import UNITS
+from fringedic.models.sentences import agreement_sentences, left_out_sentences
 from fringedic.report.model_comparison import write_model_comparison
 
 ROW, COLUMN = np.meshgrid(np.arange(0, 320, 4), np.arange(0, 400, 4), indexing="ij")
@@ -297,13 +299,51 @@ def test_a_rendered_model_is_the_measured_one():
         compare_model(experiment(), model_of(), pairs=pairs(), reference_image=image[:, :396])
 
 
+def in_unit(unit: str) -> Model:
+    """The model whose lengths in mm were read in another unit, and without displacement out of it."""
+    scale = UNITS[unit] / UNITS["mm"]
+    model = model_of()
+    return replace(model, nodes=scale * model.nodes, displacement=scale * model.displacement, unit=unit)
+
+
+def test_a_rigid_motion_is_told_and_can_be_removed():
+    data, turn = experiment(), Rotation.from_rotvec([1e-3, -2e-3, 20e-3]).as_matrix()
+    before = np.stack([data[name].isel(step=0) for name in "xyz"]).astype(float)
+    for step in (1, 2):
+        true = before + np.stack([data[name].isel(step=step) for name in "uvw"])
+        moved_too = np.einsum("ij,jrc->irc", turn, true) + np.array([50e-6, 0, 200e-6])[:, None, None] - before
+        for name, values in zip("uvw", moved_too, strict=True):
+            data[name][step] = values
+    contained, removed = (
+        compare_model(data, model_of(), pairs=pairs(), steps=[2], remove_rigid_motion=each).isel(step=0)
+        for each in (False, True)
+    )
+    assert float(contained.sel(quantity="u").within_2_sigma) < 0.1
+    for name in "uvw":
+        assert 0.9 < float(removed.sel(quantity=name).normalized_rms) < 1.1, name
+        np.testing.assert_allclose(removed[f"difference_{name}"], removed[name] - removed[f"model_{name}"], atol=1e-10)
+    for each in (contained, removed):
+        found = [float(each[f"rigid_rotation_{axis}"]) for axis in "xyz"]
+        np.testing.assert_allclose(found, [1e-3, -2e-3, 20e-3], atol=1e-4)
+    assert "removed from the measured displacement: 0." in agreement_sentences(removed)[-1]
+    assert agreement_sentences(contained)[-1].endswith("--remove-rigid-motion (remove_rigid_motion) removes it.")
+
+
+def test_steps_beyond_the_loads_of_the_model_are_told(tmp_path: Path):
+    found = compare_model(experiment(), model_of(loads=(0.0, 600.0)), pairs=pairs())
+    [sentence] = left_out_sentences(found)
+    assert "between the loads 0 and 600; left out are the steps beyond, each with its load: 2 (1000)." in sentence
+    assert sentence in " ".join(write_model_comparison(found, tmp_path / "page.html").read_text("utf-8").split())
+    assert left_out_sentences(compare_model(experiment(), model_of(), pairs=pairs(), steps=[1])) == []
+
+
 def test_loads_can_be_given_for_each_step_and_start_at_the_reference():
     data = experiment().drop_vars("force")
     with pytest.raises(ModelError, match="no force"):
         compare_model(data, model_of(), pairs=pairs())
     model = model_of(loads=(-1000.0, 0.0, 1000.0))
     model = replace(model, nodes=model.nodes - model.displacement_at(-500.0))  # so that the sheet is that at -500 N
-    shifted = compare_model(data, model, pairs=pairs(), loads={0: -500.0, 2: 500.0})
+    shifted = compare_model(data, model, pairs=pairs(), load_table={0: -500.0, 2: 500.0})
     assert shifted.step.values.tolist() == [2]
     assert 0.9 < float(shifted.normalized_rms.sel(quantity="u", step=2)) < 1.1
 
@@ -319,7 +359,9 @@ def test_loads_can_be_given_for_each_step_and_start_at_the_reference():
         (lambda data: (data.assign_attrs(parameters="[]"), model_of(), {}), "no parameters"),
         (lambda data: (data, model_of(), {"pairs": 3 * [((4e3, 0.0), (0.0, 0.0, 0.0))]}), "nothing is measured"),
         (lambda data: (data, model_of(), {"pairs": [((40.0, 0.0), (0.0, 0.0))] * 3}), "has 2 coordinates"),
-        (lambda data: (data, model_of(), {"loads": [1.0]}), "loads"),
+        (lambda data: (data, model_of(), {"load_table": [1.0]}), "load_table"),
+        (lambda data: (data, in_unit("m"), {"pairs": ()}), r"size of 340\d\d mm .* perhaps mm"),
+        (lambda data: (data, in_unit("inch"), {"pairs": ()}), "perhaps mm"),
         (lambda data: (data, model_of(), {"pair_sigma": 0.0}), "pair_sigma"),
     ],
 )
@@ -428,8 +470,10 @@ def test_elements_and_load_steps_of_an_exodus_file_are_read_without_their_displa
     assert model.closed
     assert np.allclose(np.ptp(model.nodes, axis=0), [4e-3, 2e-3, 1e-3])
     assert np.allclose(model.displacement_at(200.0)[:, 0], model.nodes[:, 0] / 1000)
-    with pytest.raises(ModelError, match="it has 1 load steps"):
+    with pytest.raises(ModelError, match=r"it has 1 load step: give the load of each \(--load in N or mm"):
         read_model(tmp_path / "block.e", unit="mm")
+    with pytest.raises(ModelError, match=r"one load step at 0 cannot"):  # the only time of this file
+        read_model(tmp_path / "block.e", unit="mm", times_are_loads=True)
     (tmp_path / "text.exo").write_text("no mesh")
     with pytest.raises(ModelError, match="no load step or is damaged"):
         read_model(tmp_path / "text.exo", unit="mm")
@@ -447,6 +491,12 @@ def test_load_steps_of_a_series_and_an_stl(tmp_path: Path):
     model = read_model(tmp_path / "plate.pvd", unit="mm")
     assert model.loads.tolist() == [0.0, 100.0, 300.0]
     assert np.allclose(model.displacement_at(200.0)[:, 0], 0.2 * model.nodes[:, 0])
+    last = read_model(tmp_path / "plate.pvd", unit="mm", model_step=2)
+    assert last.loads.tolist() == [0.0, 300.0]
+    assert np.allclose(last.displacement_at(300.0)[:, 0], 0.3 * model.nodes[:, 0])
+    assert read_model(tmp_path / "plate.pvd", unit="mm", model_step=1, loads=[50.0]).loads.tolist() == [0.0, 50.0]
+    with pytest.raises(ModelError, match="has no load step 3, it has 2"):
+        read_model(tmp_path / "plate.pvd", unit="mm", model_step=3)
     pyvista.Cube().triangulate().save(tmp_path / "cube.stl")
     nominal = read_model(tmp_path / "cube.stl", unit="inch")
     assert nominal.closed

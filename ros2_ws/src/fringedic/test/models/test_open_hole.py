@@ -39,7 +39,7 @@ def test_an_orthotropic_model_is_fitted_and_explains_the_displacement(tmp_path: 
     assert 0.06 < constants.shear < 0.2
     assert 0 < covariance[2, 2] ** 0.5 < 0.1 * constants.shear
     fitted, isotropic = (
-        compare_model(data, benchmark.model_of(plate, each, ends), loads={0: 0.0, 3: 3.0}).sel(step=3)
+        compare_model(data, benchmark.model_of(plate, each, ends), load_table={0: 0.0, 3: 3.0}).sel(step=3)
         for each in (constants, benchmark.isotropic())
     )
     assert float(fitted.relative_error.sel(quantity="v")) < 0.02

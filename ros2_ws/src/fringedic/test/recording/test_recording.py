@@ -302,15 +302,6 @@ def compressed_by_rosbag2(bag, mode):
     return bag
 
 
-@pytest.mark.parametrize("read", [BagReader, info, recover, verify])
-@pytest.mark.parametrize("part", ["", "bag_0.mcap"])
-def test_messages_that_rosbag2_has_compressed_are_refused(typestore, tmp_path, read, part):
-    bag = compressed_by_rosbag2(write_bag(tmp_path / "bag", typestore), "MESSAGE")
-    with pytest.raises(RecordingError, match=r"its messages are compressed by rosbag2 .* with 'ros2 bag convert'"):
-        read(bag / part)
-    assert [each.name for each in tmp_path.glob("bag*")] == ["bag"]
-
-
 @pytest.mark.usefixtures("typestore")
 def test_compressed_messages_are_refused_without_their_metadata(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
@@ -503,13 +494,16 @@ def test_a_split_recording_is_one_for_every_reader(typestore, tmp_path, split):
     reader = BagReader(path)
     assert reader.lost == ""
     assert [message[:4] for message in reader.raw()] == [message[:4] for message in whole]
-    assert list(reader.stored()) == list(reader.raw())
+    copies = [message for message in reader.stored() if message not in whole]  # of latched messages, for each file
+    assert {message._replace(log_time=0) for message in copies} <= {message._replace(log_time=0) for message in whole}
+    assert [message for message in reader.stored() if message in whole] == whole
     metadata = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert metadata["relative_file_paths"] == [each["path"] for each in metadata["files"]] == names
-    assert metadata["message_count"] == sum(each["message_count"] for each in metadata["files"]) == len(whole)
+    stored = len(whole) + len(copies)
+    assert metadata["message_count"] == sum(each["message_count"] for each in metadata["files"]) == stored
     with AnyReader([path]) as other:
-        assert other.message_count == len(whole)
-        assert [raw for _, _, raw in other.messages()] == [message.data for message in whole]
+        assert other.message_count == stored
+        assert {raw for _, _, raw in other.messages()} == {message.data for message in whole}
     for name in names:  # each file can be read alone
         with (path / name).open("rb") as stream:
             assert len(make_reader(stream, validate_crcs=True).get_summary().channels) == 2
@@ -565,7 +559,9 @@ def test_joined_parts_have_one_channel_per_topic(typestore, tmp_path):
     first, second = (write_bag(tmp_path / name, typestore, pictures=3) for name in ("bag-1", "bag-2"))
     (tmp_path / "bag-3").mkdir()
     joined = join([first, second, tmp_path / "bag-3"], tmp_path / "bag")
-    assert joined.damage == f"{tmp_path / 'bag-3'}: holds no .mcap file; convert other storage with 'ros2 bag convert'"
+    assert joined.damage.startswith(
+        f"{tmp_path / 'bag-3'}: holds no .mcap file; convert other storage: rosbags-convert"
+    )
     assert joined.messages == 66
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         assert sorted(each.topic for each in make_reader(stream).get_summary().channels.values()) == [

@@ -4,6 +4,7 @@ import re
 import shutil
 from hashlib import sha256
 from pathlib import Path
+from random import Random
 
 import pytest
 import yaml
@@ -209,6 +210,71 @@ def test_clock_that_was_set_back_within_a_chunk_is_found_by_the_messages(tmp_pat
 
 def test_chunks_may_overlap_by_less_than_a_second(tmp_path):
     assert verify(set_back(tmp_path / "bag", after=0.5, seconds=0.9)).damage == ""
+
+
+def reordered(target, order, **options):
+    """Write a file of the recording in another order, as other programs do."""
+    reader = BagReader(RECORDED)
+    with target.open("wb") as stream:
+        writer = Writer(stream, **{"chunk_size": 100_000, **options})
+        writer.start("ros2")
+        channels = {}
+        for topic in reader.topics.values():
+            schema = writer.register_schema(topic.type_name, topic.encoding, topic.definition.encode())
+            about = {"offered_qos_profiles": topic.qos}
+            channels[topic.name] = writer.register_channel(topic.name, "cdr", schema, about)
+        for topic, data, log_time, publish_time, number in order([*reader.stored()]):
+            writer.add_message(channels[topic], log_time, data, publish_time, number)
+        writer.finish()
+    return target
+
+
+def in_halves(messages):
+    return messages[len(messages) // 2 :] + messages[: len(messages) // 2]
+
+
+def shuffled(messages):
+    random = Random(1)
+    return sorted(messages, key=lambda each: each.log_time + random.uniform(0, 0.3e9))
+
+
+ORDERS = {
+    "topic after topic": lambda messages: sorted(messages, key=lambda each: each.topic),
+    "second half first": in_halves,
+    "shuffled": shuffled,
+    "merged with a copy": lambda messages: [each for one in messages for each in (one, one)],
+}
+
+
+@pytest.mark.parametrize("order", ORDERS.values(), ids=ORDERS)
+def test_order_of_the_file_says_nothing_about_time(tmp_path, order):
+    found = verify(reordered(tmp_path / "other.mcap", order))
+    assert (found.complete, found.frames, found.gaps, found.damage) == (True, FRAMES, {}, "")
+    assert BagReader(tmp_path / "other.mcap").damage == ""
+
+
+@pytest.mark.parametrize("order", ORDERS.values(), ids=ORDERS)
+def test_losses_are_counted_in_every_order(tmp_path, order):
+    samples = [each for each in BagReader(RECORDED).stored() if each.topic == LOAD]
+    lost = {*samples[100:130], samples[700]}
+    found = verify(
+        reordered(tmp_path / "other.mcap", lambda messages: order([each for each in messages if each not in lost]))
+    )
+    assert (found.gaps, found.frames, found.damage) == ({LOAD: 31}, FRAMES, "")
+
+
+def test_without_numbers_missing_messages_cannot_be_known(tmp_path):
+    def thinned(messages):
+        kept = [each for each in messages if each.topic != LOAD or each.log_time % 3]
+        return [each._replace(sequence=0) for each in kept]
+
+    found = verify(reordered(tmp_path / "other.mcap", thinned))
+    assert not found.complete
+    assert found.uncounted == sorted({IMAGE, EXPOSURE, STEP, LOAD, "/rig/camera/camera_info"})
+    [line] = [line for line in verification_sentences(found) if line.startswith("publishers' counts")]
+    assert "cannot be known" in line
+    assert "no message is missing" not in line
+    assert (found.frames, found.lost_frames) == (FRAMES, 0)
 
 
 def test_frames_of_a_free_run_belong_to_no_step(tmp_path):

@@ -11,14 +11,13 @@ import pytest
 
 from fringedic.errors import ImageError
 from fringedic.figures.live_preview import BLUE, RED, preview
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import WHITE
 from fringedic.patterns.render import render_pattern
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.rig_setup.live_figures import LiveView
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 FULL_WIDTH = 4 * math.sqrt(math.log(2))  # of the autocorrelation of Gaussian spots, over their standard deviation
-WHITE = ProjectedPattern(PatternKind.WHITE)
 READ, SHOT = 1.5, 0.04
 
 

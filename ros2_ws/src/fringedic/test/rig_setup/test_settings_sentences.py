@@ -62,8 +62,8 @@ TIMING = ProjectorTiming(
     "line",
     [
         "image resolution             640 x 480 px",
-        "subset size                  40 px (2 mm), 8.5 features",
-        "virtual strain gauge         80 px (4 mm): (window - 1) step + subset",
+        "window (width of the subset) 40 px (2 mm), 8.5 features",
+        "virtual strain gauge         80 px (4 mm): strain window + window - 1",
         "displacement, spatial        0.0094 / 0.0091 px (0.47 / 0.455 µm)",
         "strain e_xx / e_yy / e_xy    200 / 200 / 150 µstrain",
         "32 px   0.0116 px     35 px",

@@ -110,6 +110,13 @@ def test_packages_that_cannot_be_used_are_named_with_the_cure(install: Install, 
     assert load_rig_file(rig_file(tmp_path, {"source": "files", "files": "a"})).camera.source == "files"
 
 
+def test_a_setting_with_the_name_of_a_parameter_of_the_node_is_refused(install: Install, tmp_path: Path) -> None:
+    install("eager_camera", "eager", text=MODEL.replace("files: int", "frame_rate_hz: int"))
+    rig = load_rig_file(rig_file(tmp_path, {"source": "eager", "width": 640, "height": 480}))
+    with pytest.raises(ConfigurationError, match="source eager: frame_rate_hz of eager_camera"):
+        to_parameters(CameraNodeSettings(device=rig.camera))
+
+
 def test_a_driver_that_cannot_be_imported_is_named(install: Install) -> None:
     install("half_lab", "half", text=MODEL.replace('"{module}:Driver"', '"{module}_driver:Driver"'))
     camera = CAMERAS.model("half")()

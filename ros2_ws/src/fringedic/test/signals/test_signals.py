@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from types import SimpleNamespace as Message
 from typing import Any
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from fringedic.errors import RecordingError
-from fringedic.signals import FORCE, POSITION, Channel, Signal, signals_of
+from fringedic.signals import FORCE, POSITION, Channel, Signal, SignalCollector, read_table, signals_of
 
 SECOND = 1_000_000_000
 TEMPERATURE = Channel("temperature_grip", "temperature", "K", "", "thermocouple")
@@ -89,3 +91,59 @@ def test_the_stamps_of_another_clock_are_those_of_the_rig_less_offset_and_drift(
     stamps = np.array([SECOND, 11 * SECOND])
     moved = Signal(TEMPERATURE, stamps, np.zeros(2), np.zeros(2)).on_the_clock_of_the_rig(0.25, 1e-5, since=SECOND)
     assert (stamps - moved.stamps).tolist() == [250_000_000, 250_100_000]
+
+
+def test_a_live_reader_keeps_the_latest_samples_and_the_topic_that_counts() -> None:
+    collector = SignalCollector(longest=2)
+    for second in (1, 2, 3):
+        assert collector.add(*load(second * SECOND, float(second), 1e-3)) == ["force", "position"]
+    assert collector.signals["force"].values.tolist() == [2.0, 3.0]
+    assert collector.add(*published(FORCE, [4 * SECOND], [4.5], [0.2])) == ["force"]
+    assert collector.add(*load(5 * SECOND, 5.0, 2e-3)) == ["position"]
+    assert (collector.latest["force"].value, collector.latest["position"].value) == (4.5, 2e-3)
+
+
+def test_a_table_has_signals_with_their_units_and_uncertainties(tmp_path: Path) -> None:
+    table = tmp_path / "logger.csv"
+    table.write_text(
+        "time [s],force [N],temperature_grip [K],sigma temperature_grip [K]\n"
+        "1795890000.000000001,5.0,295,0.5\n1795890001.5,,296.5,0.5\n\n",
+        "utf-8-sig",
+    )
+    signals = read_table(table)
+    assert signals["force"].channel == FORCE._replace(source="logger.csv")
+    assert signals["temperature_grip"].channel == Channel("temperature_grip", "temperature", "K", "", "logger.csv")
+    assert signals["force"].stamps.tolist() == [1795890000_000000001, 1795890001_500000000]
+    np.testing.assert_array_equal(signals["force"].values, [5.0, np.nan])
+    assert np.isnan(signals["force"].sigmas).all()
+    assert signals["temperature_grip"].value_over(*signals["force"].stamps) == (295.75, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "the first line has to contain time"),
+        ("time [s],force\n1,5\n", "the first line has to contain time"),
+        ("time [ms],force [N]\n1,5\n", "the first line has to contain time"),
+        ("time [s],force [N],force [N]\n1,5,5\n", "each signal once"),
+        ("time [s],sigma force [N]\n1,5\n", "has no column 'force"),
+        ("time [s],force [N]\n1,5,6\n", "line 2 has 3 cells, the first line 2"),
+        ("time [s],force [N]\n1,5\n2,five\n", "line 3, force: 'five' is no number"),
+        ("time [s],force [N]\n", "the times have to be numbers that grow"),
+        ("time [s],force [N]\n2,5\n2,6\n", "the times have to be numbers that grow"),
+        ("time [s],force [N]\n1,inf\n", "line 2, force: 'inf' is no number"),
+        ("time [s],force [N]\n1e30,5\n", "the times have to be numbers that grow"),
+        ("time [s],force [N]\n,5\n", "the times have to be numbers that grow"),
+        ('time [s],force [N]\n1,"5', "cannot be read as CSV"),
+    ],
+)
+def test_a_file_that_is_no_such_table_is_refused(text: str, sentence: str, tmp_path: Path) -> None:
+    table = tmp_path / "logger.csv"
+    table.write_text(text)
+    with pytest.raises(RecordingError, match=r"logger\.csv: .*" + re.escape(sentence)):
+        read_table(table)
+
+
+def test_a_table_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        read_table(tmp_path / "none.csv")

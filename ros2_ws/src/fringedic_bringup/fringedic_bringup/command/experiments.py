@@ -18,6 +18,7 @@ from fringedic.command.app import (
     Output,
     ReferenceStep,
     Rig,
+    Sensor,
     Settings,
     Steps,
     app,
@@ -29,14 +30,14 @@ from fringedic.command.app import (
     next_reading,
     parameter_values,
     say,
-    title_of,
 )
 from fringedic.command.folders import output_folder, unused_folder
+from fringedic.command.outcome import RunReport
 from fringedic.command.progress import LiveProgress
+from fringedic.command.run_table import report_table
 from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.errors import ConfigurationError, StepFailedError
-from fringedic_bringup.display.run_table import report_table
-from fringedic_bringup.procedures.outcome import RunReport
+from fringedic.wording.path_names import recording_names
 
 
 class Specimen(StrEnum):
@@ -108,25 +109,20 @@ def replay(
     steps: Steps = None,
     reference: ReferenceStep = None,
     calibration: Calibration = None,
+    sensor: Sensor = None,
     output: Output = None,
 ) -> None:
     """Process recordings again with newly started nodes, as fast as possible, and record the results."""
     from fringedic_bringup.procedures.replay import replay as replay_bag
 
-    folders = [] if output is None or len(bags) == 1 else [output / title_of(bag) for bag in bags]
-    if len(set(folders)) < len(folders):
-        twice = next(folder for folder in folders if folders.count(folder) > 1)
-        raise ConfigurationError(
-            f"{twice}: would be the folder of two recordings; replay recordings of the same name one by one, "
-            "each with its own --output"
-        )
+    names = recording_names(bags)
     overrides = _by_node(parameter_values(settings))
     model = None if calibration is None else calibration_file(calibration)
 
     def work(bag: Path) -> None:
         folder = unused_folder(bag.with_name(f"{bag.name}_replayed"))
         if output is not None:
-            folder = output_folder(output if len(bags) == 1 else output / title_of(bag))
+            folder = output_folder(output if len(bags) == 1 else output / names[str(bag)])
         say(*losses(bag))
         with LiveProgress(console) as progress:
             target = replay_bag(
@@ -137,6 +133,7 @@ def replay(
                 steps=steps or (),
                 reference=reference,
                 calibration=model,
+                sensor=sensor,
             )
         say(f"recording: {target}", next_reading(target))
 
@@ -163,7 +160,7 @@ def _tell(report: RunReport) -> None:
     if report.unmeasured:
         say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
         return
-    say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    say(f"{report.folder}: report.html, recording (bag), dataset ({report.dataset}), {len(report.pictures)} pictures")
     if report.verdict:
         say(report.verdict)
     if report.pictures:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,29 +10,40 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
+from fringedic.command.outcome import CALIBRATION_FILE
+from fringedic.configuration.rig_file import RigFile, fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
+from fringedic.frames.sensor import SENSOR, file_of
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import EXPOSURE
 from fringedic.settings.camera import CameraNodeSettings
+from fringedic.settings.experiment import ExperimentNodeSettings, ProcessingSettings
+from fringedic.settings.extensometer import ExtensometerNodeSettings, ExtensometerSettings
+from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings, MachineSettings
 from fringedic.settings.parameters import default_parameters, to_parameters
+from fringedic.settings.projector import ProjectorNodeSettings
+from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
+from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
-STEP_TOPIC = "experiment/step"
+COMPOSED = "processing"  # the process, and the executable, of all processing nodes together
 _FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
 
 
 @dataclass(frozen=True)
 class NodeEntry:
-    """One node process, as of ``ros2 run package executable``, with its name and parameters.
+    """One node, started as by ``ros2 run package executable``, with its name and parameters.
 
     Attributes
     ----------
+    process
+        Name of the process that it shares with other nodes; empty: it has its own.
     changes_at_restart
         Parameters that differ when the node is started again after it has ended.
     defaults
@@ -45,11 +56,13 @@ class NodeEntry:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     changes_at_restart: Mapping[str, Any] = field(default_factory=dict)
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    process: str = ""
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
         file = folder / f"{self.name}.yaml"
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**self.parameters, **others}}}))
+        nodes = f"/**/{self.name}" if self.process else "/**"  # the process reads the files of all its nodes
+        file.write_text(yaml.safe_dump({nodes: {"ros__parameters": {**self.parameters, **others}}}))
         return file
 
     def changed_parameters(self, folder: Path) -> set[str]:
@@ -66,7 +79,8 @@ class NodeEntry:
         if not file.exists():
             return set()
         try:
-            written = present_parameters(self.name, load_yaml(file.read_text())["/**"]["ros__parameters"])
+            (content,) = load_yaml(file.read_text()).values()
+            written = present_parameters(self.name, content["ros__parameters"])
             before = {**self.defaults, **written}
             # with lists and texts, as in the file
             now = {**self.defaults, **load_yaml(yaml.safe_dump(dict(self.parameters)))}
@@ -87,12 +101,19 @@ class Graph:
         """Names of the nodes."""
         return [node.name for node in self.nodes]
 
+    @property
+    def processes(self) -> dict[str, tuple[NodeEntry, ...]]:
+        """Nodes of each process, by the name of the process, in the order of their start."""
+        names = dict.fromkeys(node.process or node.name for node in self.nodes)
+        return {name: tuple(node for node in self.nodes if name in (node.process, node.name)) for name in names}
+
 
 def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
     """Return the nodes of a rig that records one run into a folder.
 
-    The calibration of the rig file is written into the folder as ``calibration.yaml``. The nodes write the recording
-    ``bag`` and, on a virtual rig, the ground truth ``truth.nc``.
+    The calibration of the rig file is written into the folder as ``calibration.yaml``, with the name of a sensor that
+    has one (``calibration.left.yaml``). The nodes write the recording ``bag`` and, on a virtual rig, the ground truth
+    ``truth.nc``.
 
     Parameters
     ----------
@@ -109,77 +130,80 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         The calibration file cannot be read or belongs to another rig, the coarsest fringes repeat in the view, or the
         region was drawn in an image of another size.
     """
-    calibration = load_fitting_calibration(rig, rig_path)
+    calibration = fitting_calibration(rig, rig_path)
     folder.mkdir(parents=True, exist_ok=True)
-    calibration_file = "" if calibration is None else str((folder / "calibration.yaml").absolute())
-    region = _region(rig, rig_path)
-    processing = {
-        "phase": _phase(rig) | region,
-        "dic": rig.nodes.dic.model_dump() | region,
-        "coupling": rig.nodes.coupling.model_dump(),
-    }
-    nodes = [NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder))]
+    calibration_file = "" if calibration is None else str(file_of(folder / CALIBRATION_FILE, rig.sensor).absolute())
+    region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
+    parts = {"phase": _phase(rig), "dic": rig.nodes.dic}
+    processing = ProcessingSettings(
+        coupling=rig.nodes.coupling,
+        **{name: parameters.model_copy(update=region) for name, parameters in parts.items()},
+    )
+    nodes = [_recorder(rig, folder)]
     if rig.recording.process:
-        nodes += _processing_nodes(processing)
-    if rig.has_load_frame_node:
+        entries = (_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items())
+        nodes += _processing_nodes(entries, composed=rig.nodes.composed)
+    if isinstance(rig.load_frame, MachineSettings):
         # the machine, which may be moving, is requested to hold as soon as it answers
-        again = {"machine_required": False}
-        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path), again))
+        machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
+        nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
     if rig.extensometer is not None:
-        nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
-    settings = _experiment(rig, experiment) | {
-        "load_frame": rig.load_frame is not None,
-        "white_between_steps": rig.extensometer is not None,
-        "facts": rig.metadata(rig_path).to_text(),
-        "calibration_file": calibration_file,
-        "calibration_folder": str((folder / "calibrations").absolute()),
-        "record_only": not rig.recording.process,
-    }
-    if not rig.recording.process:
-        settings["later_parameters"] = yaml.safe_dump(processing)
+        nodes.append(_extensometer(rig.extensometer))
+    experiment_node = _experiment(
+        rig,
+        experiment=experiment,
+        load_frame=rig.load_frame is not None,
+        white_between_steps=rig.extensometer is not None,
+        metadata=rig.metadata(),
+        calibration_file=calibration_file,
+        calibration_folder=str((folder / "calibrations").absolute()),
+        record_only=not rig.recording.process,
+        later_parameters=ProcessingSettings() if rig.recording.process else processing,
+    )
     nodes += [
-        *_hardware(rig, rig_path, **_truth(rig, folder), **_free_run(rig)),
-        NodeEntry("experiment", "experiment_node", "experiment", settings),
+        *_hardware(rig, **_truth(rig, folder), **_free_run(rig)),
+        experiment_node,
     ]
     if calibration is not None:
         calibration.to_yaml(calibration_file)  # when nothing can fail any more: it may replace that of an earlier run
     return _graph(rig, nodes)
 
 
-def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
+def calibration_graph(rig: RigFile, folder: Path) -> Graph:
     """Return the nodes that calibrate a rig: projector, camera, phase, experiment and recorder.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path, to which the paths in it are relative.
+    rig
+        The content of the rig file.
     folder
         Where the recording ``bag`` is written.
     """
-    settings = _experiment(rig, "") | {
-        "nodes": ["phase"],
-        "calibration_folder": str(folder.absolute()),
-        "facts": Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
-    }
-    phase = _phase(rig) | {"relative_phase": "refuse"}  # the positions of planes are absolute
-    if rig.sequence.fringe_order == "one_image":
-        settings["fringe_order"] = "pitches"
+    phase = _phase(rig).model_copy(update={"relative_phase": "refuse"})  # the positions of planes are absolute
+    others = {"fringe_order": "pitches"} if rig.sequence.fringe_order == "one_image" else {}
+    experiment = _experiment(
+        rig,
+        nodes=["phase"],
+        calibration_folder=str(folder.absolute()),
+        metadata=Metadata(specimen=rig.specimen, hardware=rig.hardware),
+        **others,
+    )
     nodes = [
-        NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder)),
-        NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
-        *_hardware(rig, rig_path),
-        NodeEntry("experiment", "experiment_node", "experiment", settings),
+        _recorder(rig, folder),
+        _node("phase", PROCESSING_NODES["phase"], phase),
+        *_hardware(rig),
+        experiment,
     ]
     return _graph(rig, nodes)
 
 
-def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Graph:
+def live_graph(rig: RigFile, region: Sequence[int] = ()) -> Graph:
     """Return the nodes of the live view for the set-up; nothing is recorded.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     region
         First column, first row, width and height of the evaluated part of the image [px]; empty: the whole image.
     """
@@ -187,47 +211,49 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
     if region:
         view["region_px"] = list(region)
     live_view = NodeEntry("live_view", "camera_node", "live_view", view)
-    return _graph(rig, [live_view, *_hardware(rig, rig_path)])
+    return _graph(rig, [live_view, *_hardware(rig)])
 
 
-def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
+def exposing_graph(rig: RigFile) -> Graph:
     """Return projector and camera alone; the camera does not wait after a pattern.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     """
     at_once = rig.model_copy(update={"camera": rig.camera.model_copy(update={"settle_ms": 0.0})})
-    return _graph(rig, _hardware(at_once, rig_path))
+    return _graph(rig, _hardware(at_once))
 
 
-def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
+def projecting_graph(rig: RigFile) -> Graph:
     """Return the projector alone.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     """
-    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig, rig_path).nodes if node.name == "projector"))
+    graph = exposing_graph(rig)
+    return replace(graph, nodes=tuple(node for node in graph.nodes if node.name == "projector"))
 
 
 def replay_graph(
-    bag: Path,
+    bag: BagReader,
     output: Path,
     overrides: Mapping[str, Mapping[str, Any]],
     *,
     steps: Sequence[int] = (),
     reference: int | None = None,
     calibration: Path | None = None,
+    composed: bool = False,
 ) -> Graph:
     """Return the nodes that process a recording again and record the results.
 
     Parameters
     ----------
     bag
-        The recording to play.
+        The recording to play, with the choice of its sensor.
     output
         Folder of the new recording.
     overrides
@@ -238,14 +264,16 @@ def replay_graph(
         A step that all others are measured against; by default as recorded.
     calibration
         File that replaces the recorded calibration of the rig.
+    composed
+        Whether the processing nodes share a process.
 
     Raises
     ------
     RecordingError
-        The recording lacks the topic ``experiment/step``.
+        The recording lacks exposure records, or contains several sensors and none is chosen.
     """
-    step_topic = BagReader(bag).find(STEP_TOPIC)[STEP_TOPIC]
-    player: dict[str, Any] = {"bag_path": str(bag.absolute()), "recorder": True}
+    exposures = bag.find(EXPOSURE)[EXPOSURE]
+    player: dict[str, Any] = {"bag_path": str(bag.path.absolute()), "recorder": True}
     replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
     if replaced:
         player["overrides"] = replaced
@@ -255,20 +283,28 @@ def replay_graph(
         player["steps"] = list(steps)
     if reference is not None:
         player["reference_step"] = reference
-    return Graph(
-        step_topic.removesuffix(STEP_TOPIC).strip("/"),
-        (
-            NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
-            *_processing_nodes(overrides),
-            NodeEntry("player", "player_node", "player", player),
+    nodes = [
+        NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
+        *_processing_nodes(
+            (NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
+            composed=composed,
         ),
-    )
+        NodeEntry("player", "player_node", "player", player),
+    ]
+    return _with_common(exposures.removesuffix(EXPOSURE).strip("/"), nodes, bag.sensor, {})
 
 
 def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
-    """Return nodes in the namespace and with the frame prefix of a rig."""
-    prefix = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
-    return Graph(rig.namespace, tuple(replace(node, parameters={**node.parameters, **prefix}) for node in nodes))
+    """Return nodes in the namespace of a rig, with its frame prefix and the name of its sensor."""
+    common = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
+    return _with_common(rig.topic_namespace, nodes, rig.sensor, common)
+
+
+def _with_common(namespace: str, nodes: Sequence[NodeEntry], sensor: str, common: Mapping[str, str]) -> Graph:
+    """Return nodes with the same parameters beside their own; a sensor without a name needs none."""
+    if sensor != SENSOR:
+        common = {"sensor": sensor, **common}
+    return Graph(namespace, tuple(replace(node, parameters={**node.parameters, **common}) for node in nodes))
 
 
 def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEntry:
@@ -276,32 +312,25 @@ def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEnt
     return NodeEntry(name, package, name, to_parameters(settings), again, default_parameters(settings))
 
 
-def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
-    return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
+def _recorder(rig: RigFile, folder: Path) -> NodeEntry:
+    shared = rig.recording.model_dump(include=set(RecorderSettings.model_fields))
+    return _node("recorder", "recorder_node", RecorderNodeSettings(bag_path=str((folder / "bag").absolute()), **shared))
 
 
-def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
-    return {
-        "bag_path": str((folder / "bag").absolute()),
-        "derived": rig.recording.derived,
-        "compression": rig.recording.compression,
-        "split_gb": rig.recording.split_gb or 0.0,
-        "split_s": 60 * (rig.recording.split_minutes or 0.0),
-    }
+def _processing_nodes(nodes: Iterable[NodeEntry], *, composed: bool) -> list[NodeEntry]:
+    """Return the processing nodes, in one process when they are composed."""
+    if not composed:
+        return list(nodes)
+    return [replace(node, package="fringedic_bringup", executable=COMPOSED, process=COMPOSED) for node in nodes]
 
 
-def _hardware(rig: RigFile, rig_path: Path, **others: Any) -> list[NodeEntry]:
+def _hardware(rig: RigFile, **others: Any) -> list[NodeEntry]:
     """Return projector and camera, and the stage of a virtual rig; `others` are further settings of the camera node."""
     camera = CameraNodeSettings(device=rig.camera, **_virtual(rig), **others)
     nodes = []
-    size = rig.projector_size()
-    if rig.projector is not None and size is not None:
-        parameters: dict[str, Any] = {"width_px": size[0], "height_px": size[1]}
-        if rig.projector.source == "display":
-            parameters |= {"screen": "display", "display": rig.projector.display}
-        if rig.projector.response_curve is not None:
-            parameters["response_file"] = str((rig_path.parent / rig.projector.response_curve).absolute())
-        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
+    if rig.projector is not None:
+        projector = ProjectorNodeSettings(device=rig.projector, **_virtual(rig))
+        nodes.append(_node("projector", "fringe_projector_node", projector))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
     return [*nodes, _node("camera", "camera_node", camera)]
@@ -311,26 +340,23 @@ def _virtual(rig: RigFile) -> dict[str, Any]:
     return {} if rig.virtual_rig is None else {"virtual_rig": rig.virtual_rig}
 
 
-def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
-    """Return the region of interest as a parameter, so that a replay needs no other file."""
-    if rig.region_file is None:
-        return {}
-    path, size = rig_path.parent / rig.region_file, rig.camera_size()
+def _region(path: str, size: tuple[int, int] | None) -> Region:
+    """Return the region of interest of images of a size [px], which is a setting, so that a replay needs no file."""
     region = Region.load(path)
     if size is not None:
         try:
             region.mask_for(size[::-1])
         except ImageError as error:
             raise ConfigurationError(f"{path}: {error}") from error
-    return {"region": region.to_text()}
+    return region
 
 
-def _phase(rig: RigFile) -> dict[str, Any]:
+def _phase(rig: RigFile) -> PhaseParameters:
     """Return the parameters of the phase node, with the level of saturation when it does not follow from the images."""
-    parameters = rig.nodes.phase.model_dump()
-    if not parameters["saturation_grey_level"] and (level := full_scale(rig)) not in _FULL_SCALES:
-        parameters["saturation_grey_level"] = level
-    return parameters
+    parameters, level = rig.nodes.phase, full_scale(rig)
+    if parameters.saturation_grey_level or level in _FULL_SCALES:
+        return parameters
+    return parameters.model_copy(update={"saturation_grey_level": level})
 
 
 def full_scale(rig: RigFile) -> float:
@@ -343,70 +369,31 @@ def _free_run(rig: RigFile) -> dict[str, float]:
     return {} if rig.extensometer is None else {"frame_rate_hz": rig.extensometer.rate_hz}
 
 
-def _extensometer(section: ExtensometerSection) -> dict[str, Any]:
-    return {
-        "first_column_px": section.first_px[0],
-        "first_row_px": section.first_px[1],
-        "second_column_px": section.second_px[0],
-        "second_row_px": section.second_px[1],
-        "pad_px": section.subset_px,
-        "largest_sigma": 1e-6 * section.largest_sigma_ustrain,
-        "frame_timeout_s": max(FRAMES_MISSED / section.rate_hz, 0.1),
-    }
-
-
-def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
-    load_frame = rig.load_frame
-    assert load_frame is not None, "checked by the caller"
-    parameters: dict[str, Any] = {
-        "source": load_frame.source,
-        "rate_hz": load_frame.rate_hz,
-        "position_tolerance_mm": load_frame.position_tolerance_mm,
-    }
-    if load_frame.file is not None:
-        parameters["machine_file"] = str((rig_path.parent / load_frame.file).absolute())
-    if load_frame.source == "simulated":
-        parameters["virtual_rig"] = _virtual_rig(rig)
-    if load_frame.source == "controller":
-        topics = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
-        names = (*topics, "slowest_mm_per_s", "motion_span_s")
-        parameters |= {name: getattr(load_frame, name) for name in names}
-    return parameters
+def _extensometer(section: ExtensometerSection) -> NodeEntry:
+    shared = section.model_dump(include=set(ExtensometerSettings.model_fields))
+    settings = ExtensometerNodeSettings(frame_timeout_s=max(FRAMES_MISSED / section.rate_hz, 0.1), **shared)
+    return _node("extensometer", "dic_node", settings)
 
 
 def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
     return {} if rig.virtual_rig is None else {"truth_folder": str(folder.absolute())}
 
 
-def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
-    first_column, first_row = rig.camera_first()
-    parameters: dict[str, Any] = {
-        "experiment": experiment,
-        "projector": rig.projector is not None,
-        "recording_required": True,
-        "camera_timeout_s": rig.camera.timeout_s,
-        "camera_first_column_px": first_column,
-        "camera_first_row_px": first_row,
-    }
-    if rig.load_frame is not None:
-        names = ("hold_required", "load_drift_n", "position_drift_um")
-        parameters |= {name: getattr(rig.load_frame, name) for name in names}
-    size = rig.projector_size()
+def _experiment(rig: RigFile, **others: Any) -> NodeEntry:
+    """Return the experiment node of a rig; `others` are its settings that are no sections of the rig file."""
+    sequence, size = rig.sequence.model_dump(), rig.projector_size()
     if size is not None:
-        pitches = rig.pitches()
-        parameters |= {
-            "projector_width_px": size[0],
-            "projector_height_px": size[1],
-            "pitches_px": pitches,
-            "shifts": [rig.sequence.shifts] * len(pitches),
-            "orientation": rig.sequence.orientation,
-            "fringe_order": rig.sequence.fringe_order,
-            "grey_frame": rig.sequence.grey_frame,
-        }
-        if rig.sequence.exposure_times:  # an empty list in a parameter file has no type
-            parameters["exposure_times_s"] = rig.sequence.exposure_times
-    return parameters
-
-
-def _virtual_rig(rig: RigFile) -> str:
-    return yaml.safe_dump(rig.virtual_rig, default_flow_style=True, width=10_000).strip()
+        sequence["pitches_px"] = rig.pitches()
+        others |= {"projector_width_px": size[0], "projector_height_px": size[1]}
+    if rig.load_frame is not None:
+        others |= rig.load_frame.model_dump(include=set(HoldSettings.model_fields))
+    first_column, first_row = rig.camera_first()
+    settings = ExperimentNodeSettings(
+        projector=rig.projector is not None,
+        recording_required=True,
+        camera_timeout_s=rig.camera.timeout_s,
+        camera_first_column_px=first_column,
+        camera_first_row_px=first_row,
+        **{**sequence, **others},
+    )
+    return _node("experiment", "experiment_node", settings)

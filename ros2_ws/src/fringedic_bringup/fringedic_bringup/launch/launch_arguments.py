@@ -42,6 +42,7 @@ class LaunchArguments(BaseModel):
     namespace: str = Field("", pattern=NAMESPACE, description="namespace that replaces the one of the rig file")
     log_level: Literal["debug", "info", "warn", "error", "fatal"] = Field("info", description="least severe log lines")
     use_sim_time: bool = Field(False, description="take the time from /clock")
+    composed: bool = Field(False, description="phase, dic and coupling in one process, as nodes.composed of a rig file")
     respawn: bool = Field(
         False, description=f"start nodes that die once more, except {' and '.join(NOT_RESPAWNED)}, which hold a step"
     )
@@ -65,24 +66,29 @@ class LaunchArguments(BaseModel):
 
 @dataclass(frozen=True)
 class LaunchedProcess:
-    """One node process: what `launch_ros.actions.Node` needs to start it as the command does.
+    """One process: what `launch_ros.actions.Node` needs to start it as the command does.
 
     Attributes
     ----------
-    node
-        Name, package and executable.
-    parameter_file
-        All parameters of the node.
+    nodes
+        Its nodes, of one package and executable.
+    parameter_files
+        All parameters of each node.
     respawn
         Start the node again when it dies.
     grace_s
         Longest wait after each signal at the end [s].
     """
 
-    node: NodeEntry
-    parameter_file: Path
+    nodes: tuple[NodeEntry, ...]
+    parameter_files: tuple[Path, ...]
     respawn: bool
     grace_s: Mapping[signal.Signals, float]
+
+    @property
+    def node_name(self) -> str | None:
+        """Name of its only node; None when the nodes of a shared process have their own names."""
+        return None if self.nodes[0].process else self.nodes[0].name
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,8 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
     rig = load_rig_file(path)
     if arguments.namespace:
         rig = rig.model_copy(update={"namespace": arguments.namespace})
+    if arguments.composed:
+        rig = rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"composed": True})})
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     folder = Path(arguments.folder or Path(rig.recording.folder) / f"{path.stem}-{stamp}").absolute()
     if (folder / "bag").exists():
@@ -135,12 +143,12 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
     clock = {"use_sim_time": True} if arguments.use_sim_time else {}
     processes = tuple(
         LaunchedProcess(
-            node,
-            node.write_parameters(logs, **clock),
-            respawn=arguments.respawn and node.name not in NOT_RESPAWNED,
-            grace_s=RECORDER_GRACE_S if node.name == "recorder" else GRACE_S,
+            nodes,
+            tuple(node.write_parameters(logs, **clock) for node in nodes),
+            respawn=arguments.respawn and name not in NOT_RESPAWNED,
+            grace_s=RECORDER_GRACE_S if name == "recorder" else GRACE_S,
         )
-        for node in graph.nodes
+        for name, nodes in graph.processes.items()
     )
     changed = {name: value for name, value in environment.items() if os.environ.get(name) != value}
     return LaunchedRig(graph.namespace, processes, changed)
@@ -154,4 +162,11 @@ def _on_this_computer(graph: Graph, names: str) -> Graph:
         raise ConfigurationError(
             f"nodes:={names}: this rig has no {', '.join(unknown)}; it has {', '.join(graph.names)}"
         )
+    for name, nodes in graph.processes.items():
+        if 0 < len(chosen & {node.name for node in nodes}) < len(nodes):
+            together = ", ".join(node.name for node in nodes)
+            raise ConfigurationError(
+                f"nodes:={names}: {together} share the process {name}; name all of them, or take separate processes "
+                "(composed:=false, and nodes.composed: false in the rig file)"
+            )
     return Graph(graph.namespace, tuple(node for node in graph.nodes if node.name in chosen))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from fringedic.warm_up import require_kernels
 from fringedic_bringup.launch.environment import domain_of, node_environment, remove_stale_segments
 from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
+from fringedic_ros.node_server import ForkedProcess, NodeServer, can_fork, die_with_parent
 from fringedic_ros.presence import is_announced
 
 RECORDER = "recorder"
@@ -70,13 +70,14 @@ class RunningGraph:
         self._owner = owner
         self._domain = domain_of(self.environment)
         self._lease = RigLease(self._domain, graph.namespace, self.logs.parent)
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._server: NodeServer | None = None
+        self._processes: dict[str, subprocess.Popen[bytes] | ForkedProcess] = {}
         self._may_end: set[str] = set()
         self._ending_since: dict[str, float] = {}
 
     def __enter__(self) -> RunningGraph:
-        executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
-        if any(entry.package in PROCESSING_NODES.values() for entry in self.graph.nodes):
+        executables = {name: _executable(entries[0]) for name, entries in self.graph.processes.items()}
+        if not PROCESSING_NODES.keys().isdisjoint(self.graph.names):
             require_kernels(lambda words: sys.stderr.write(f"{words}\n"))  # before a node is waited for
         if self._owner:
             self._lease.__enter__()
@@ -84,8 +85,8 @@ class RunningGraph:
             if self._owner:
                 require_no_nodes(self._domain, self.graph)
             self.logs.mkdir(parents=True, exist_ok=True)
-            for entry in self.graph.nodes:
-                self._start(entry, executables[entry.name])
+            for name, entries in self.graph.processes.items():
+                self._start(name, entries, executables[name])
         except BaseException:
             self.__exit__(*sys.exc_info())
             raise
@@ -101,6 +102,9 @@ class RunningGraph:
                 break
             except KeyboardInterrupt as another:  # the recorder needs its time to close the recording
                 interruption = another
+        if self._server is not None:
+            self._server.close()
+            self._server = None
         if self._owner:
             self._lease.__exit__(kind, error, traceback)
         if interruption is not None:
@@ -111,8 +115,9 @@ class RunningGraph:
         return self._processes[name].pid
 
     def log(self, name: str) -> Path:
-        """Return the path of a node's log."""
-        return self.logs / f"{name}.log"
+        """Return the path of a node's log, which is that of its process."""
+        shared = {entry.name: entry.process for entry in self.graph.nodes}.get(name)
+        return self.logs / f"{shared or name}.log"
 
     def expect_end(self, name: str) -> None:
         """Allow a node to end by itself with exit code 0."""
@@ -149,10 +154,21 @@ class RunningGraph:
         return "\n".join(f"  {line}" for line in text.splitlines()[-lines:])
 
     def restart(self, name: str, **changes: Any) -> None:
-        """Start a node that has ended once more, with these parameters changed; its log continues in the same file."""
+        """Start a node that has ended once more, with these parameters changed; its log continues in the same file.
+
+        The nodes of its process start with it.
+        """
+        if name in self._processes and self._processes[name].poll() is None:
+            return  # with another node of its process
         entry = next(each for each in self.graph.nodes if each.name == name)
-        entry = replace(entry, parameters={**entry.parameters, **entry.changes_at_restart, **changes})
-        self._start(entry, _executable(entry))
+        process = entry.process or name
+        entries = [
+            replace(
+                each, parameters={**each.parameters, **each.changes_at_restart, **(changes if each is entry else {})}
+            )
+            for each in self.graph.processes[process]
+        ]
+        self._start(process, entries, _executable(entry))
 
     def kill(self, names: Iterable[str]) -> None:
         """Kill nodes that do not answer; `dead` contains them then."""
@@ -178,7 +194,7 @@ class RunningGraph:
             remove_stale_segments()
 
     def _end(self, names: Sequence[str], grace_s: Mapping[signal.Signals, float]) -> None:
-        processes = [self._processes[name] for name in names]
+        processes = list(dict.fromkeys(self._processes[name] for name in names))
         end = max((self._ending_since.setdefault(name, time.monotonic()) for name in names), default=0.0)
         for number, grace in grace_s.items():
             end += grace
@@ -191,20 +207,31 @@ class RunningGraph:
             if all(process.poll() is not None for process in processes):
                 return
 
-    def _start(self, entry: NodeEntry, executable: Path) -> None:
-        parameters = entry.write_parameters(self.logs)
-        arguments = ["--ros-args", "-r", f"__node:={entry.name}", "--params-file", str(parameters)]
+    def _start(self, name: str, entries: Sequence[NodeEntry], executable: Path) -> None:
+        arguments = ["--ros-args"]
+        for entry in entries:
+            arguments += ["--params-file", str(entry.write_parameters(self.logs))]
+        if name == entries[0].name:  # the nodes of a shared process have their own names
+            arguments += ["-r", f"__node:={name}"]
         if self.graph.namespace:
             arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
-        with self.log(entry.name).open("ab") as log:
-            self._processes[entry.name] = subprocess.Popen(
-                [str(executable), *arguments],
+        process = self._process([str(executable), *arguments], self.log(entries[0].name))
+        self._processes |= {entry.name: process for entry in entries}
+
+    def _process(self, command: list[str], log: Path) -> subprocess.Popen[bytes] | ForkedProcess:
+        if can_fork(Path(command[0])):
+            if self._server is None or not self._server.runs:
+                self._server = NodeServer(self.environment, self.logs / "libraries.log")
+            return self._server.start(command, log)
+        with log.open("ab") as file:
+            return subprocess.Popen(
+                command,
                 stdin=subprocess.DEVNULL,
-                stdout=log,
+                stdout=file,
                 stderr=subprocess.STDOUT,
                 env=self.environment,
                 start_new_session=True,  # Ctrl-C reaches the command alone, which ends its nodes in order
-                preexec_fn=_die_with_parent,
+                preexec_fn=die_with_parent,
             )
 
 
@@ -244,13 +271,3 @@ def _ending(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was ended by {signal.Signals(-code).name}"
-
-
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
-_PR_SET_PDEATHSIG = 1
-
-
-def _die_with_parent() -> None:
-    """Request Linux to end this node when the command that started it ends for any reason."""
-    if _LIBC is not None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

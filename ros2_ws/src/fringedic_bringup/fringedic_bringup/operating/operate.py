@@ -58,7 +58,7 @@ def operate(
             "key": "" if address.key is None else str(address.key.absolute()),
             "maps_folder": str(Path(folder) / "maps"),
         }
-        graph = Graph(rig.namespace, (NodeEntry("operator", "operator_node", "operator", parameters),))
+        graph = Graph(rig.topic_namespace, (NodeEntry("operator", "operator_node", "operator", parameters),))
         # for a preview, waking other threads costs more than they do
         environment = {TOKEN: address.token, "OPENCV_FOR_THREADS_NUM": "1"}
         page = RunningGraph(graph, Path(folder), domain=place.domain, environment=environment, owner=False)

@@ -1,9 +1,15 @@
-"""Options of the procedures that an operator may start: names, units, limits and defaults are those of the commands."""
+"""Options of the procedures that an operator may start: types, limits and defaults are those of the commands."""
 
 from __future__ import annotations
 
-from pydantic import Field
+from functools import cache
+from inspect import signature
+from typing import Any, get_args
 
+from pydantic import Field, create_model
+
+from fringedic.command.main import app
+from fringedic.command.plugins import load_commands
 from fringedic.configuration.yaml_section import Section
 
 
@@ -13,42 +19,14 @@ class RunOptions(Section):
     continue_run: str = ""
 
 
-class LiveOptions(Section):
-    """Options of ``fringedic live``."""
-
-    region: str = ""
-
-
-class TimingOptions(Section):
-    """Options of ``fringedic timing``."""
-
-    exposure_ms: float = Field(3.0, ge=0.05, le=1000)
-    longest_ms: float = Field(300.0, ge=20, le=10_000)
-
-
-class CalibrateOptions(Section):
-    """Options of ``fringedic calibrate``; without angles those of the rig file."""
-
-    angles_deg: str = ""
-
-
-class CheckOptions(Section):
-    """Options of ``fringedic check``."""
-
-    distance_mm: float = Field(5.0, gt=0, le=1000)
-    vdi: bool = False
-
-
-class NoiseOptions(Section):
-    """Options of ``fringedic noise``."""
-
-    steps: int = Field(10, ge=3, le=1000)
-
-
-class AdviseOptions(Section):
-    """Options of ``fringedic advise``."""
-
-    wanted_noise_px: float | None = Field(None, gt=0)
-    wanted_period_px: float | None = Field(None, gt=0)
-    pixel_size_mm: float | None = Field(None, gt=0)
-    strain_window_points: int = Field(5, ge=3, le=1001)
+@cache
+def options_of(command: str, names: tuple[str, ...]) -> type[Section]:
+    """Return these options of a subcommand of ``fringedic``, by the names of its parameters."""
+    load_commands()
+    callbacks = {each.callback.__name__: each.callback for each in app.registered_commands if each.callback}
+    declared = signature(callbacks[command], eval_str=True).parameters
+    fields: dict[str, Any] = {}
+    for name in names:
+        kind, option = get_args(declared[name].annotation)
+        fields[name] = kind, Field(declared[name].default, ge=option.min, le=option.max)
+    return create_model(f"options of {command}", __base__=Section, **fields)

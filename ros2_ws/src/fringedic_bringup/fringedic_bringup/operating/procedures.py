@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 from yaml import YAMLError
 
 from fringedic.calibration.acceptance_sentences import acceptance_text
@@ -18,37 +17,33 @@ from fringedic.calibration.sentences import check_sentence, check_warning_senten
 from fringedic.command.acceptance import accept
 from fringedic.command.advice import advise_on_images
 from fringedic.command.folders import unused_folder
+from fringedic.command.run_results import write_results
 from fringedic.configuration.changes import change_rig_file, with_angles
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
+from fringedic.frames.files import write_grey
 from fringedic.frames.region import Region
+from fringedic.patterns.pattern import WHITE
 from fringedic.rig_setup.live_sentences import live_entries
 from fringedic.rig_setup.settings_sentences import noise_floor_text, settings_report
+from fringedic.wording.path_names import path_name
 from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.operating.options import (
-    AdviseOptions,
-    CalibrateOptions,
-    CheckOptions,
-    LiveOptions,
-    NoiseOptions,
-    RunOptions,
-    TimingOptions,
-)
+from fringedic_bringup.operating.options import RunOptions, options_of
 from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 from fringedic_bringup.procedures.calibrate import calibrate
 from fringedic_bringup.procedures.check import check
-from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 from fringedic_bringup.procedures.live import part_of_image, watch
 from fringedic_bringup.procedures.noise import measure_noise
 from fringedic_bringup.procedures.region import SETTLING_S
 from fringedic_bringup.procedures.response import PICTURE as RESPONSE_PICTURE
 from fringedic_bringup.procedures.response import measure_rig_response
-from fringedic_bringup.procedures.run import load_rig, run_experiment, write_results
+from fringedic_bringup.procedures.run import load_rig, run_experiment
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_bringup.procedures.timing import measure_rig_timing
 
@@ -97,7 +92,7 @@ class Place:
         return os.path.relpath(file, self.folder)
 
 
-def _live(place: Place, job: Job, request: Request, options: LiveOptions) -> Outcome:
+def _live(place: Place, job: Job, request: Request, options: Any) -> Outcome:
     pattern, part = LivePattern(request.pattern or LivePattern.WHITE), part_of_image(options.region)
     with closing(watch(place.rig, place.rig_path, pattern, region=part, domain=place.domain)) as views:
         job.stage("live")
@@ -110,7 +105,7 @@ def _live(place: Place, job: Job, request: Request, options: LiveOptions) -> Out
     return Outcome()
 
 
-def _timing(place: Place, job: Job, _: Request, options: TimingOptions) -> Outcome:
+def _timing(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "timing")
     report = measure_rig_timing(
         place.rig,
@@ -130,7 +125,7 @@ def _response(place: Place, job: Job, *_: object) -> Outcome:
     return Outcome(report.words, report.setting, RESPONSE_PICTURE)
 
 
-def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) -> Outcome:
+def _calibrate(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     rig = with_angles(place.rig, options.angles_deg) if options.angles_deg else place.rig
     folder = place.new_folder(job, "calibration")
     report = calibrate(rig, place.rig_path, folder, job, ask=job.ask, watch=job.raise_when_stopped, domain=place.domain)
@@ -138,7 +133,7 @@ def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) ->
     return Outcome(report.words, settings, good=report.go)
 
 
-def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome:
+def _check(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "check")
     if options.vdi:
         tested = accept(
@@ -166,7 +161,7 @@ def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome
 
 def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     region = Region.from_text(request.text)
-    share = 100 * region.mask().mean()
+    share = 100 * region.share()
     if share == 0:
         raise ConfigurationError("the region is empty: draw a part of the image that is not a hole")
     picture = place.own_file("region.png")
@@ -176,18 +171,18 @@ def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     return Outcome([f"the region is {share:.0f} % of the image; the rig file uses it"], picture=picture.name)
 
 
-def _noise(place: Place, job: Job, _: Request, options: NoiseOptions) -> Outcome:
+def _noise(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "noise")
     measured = measure_noise(place.rig, place.rig_path, folder, job, steps=options.steps, domain=place.domain)
     setting = f"noise_floor_file: {place.relative(folder / 'noise_floor.yaml')}"
     return Outcome(noise_floor_text(measured.metadata).splitlines(), setting, "noise_floor.png")
 
 
-def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outcome:
+def _advise(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     """Take three images at rest, and recommend window and spacing."""
     folder = place.new_folder(job, "static")
     folder.mkdir(parents=True)
-    graph = exposing_graph(place.rig, place.rig_path)
+    graph = exposing_graph(place.rig)
     files = [folder / f"static_{number}.png" for number in range(1, IMAGES_AT_REST + 1)]
     job.stage("taking images")
     with (
@@ -200,7 +195,7 @@ def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outco
             client.sleep(SETTLING_S)
         for number, file in enumerate(files, start=1):
             job.part(1, 1, "images at rest", number, len(files))
-            cv2.imwrite(str(file), client.expose()[0])
+            write_grey(file, client.expose().image)
     advice = advise_on_images(
         (files[0], files[1], files[2]),
         wanted_noise=options.wanted_noise_px,
@@ -221,7 +216,7 @@ def _run(place: Place, job: Job, request: Request, options: RunOptions) -> Outco
     """Run a programme, or go on with one that ended early, as with ``--continue``."""
     rig, programme = _programme(place, request.text)
     name = options.continue_run
-    if name != Path(name).name:
+    if name and name != path_name(name):
         raise ConfigurationError(f"continue_run: {name} is no name of a folder in {rig.recording.folder}")
     if name:
         folder = place.folder / rig.recording.folder / name
@@ -300,23 +295,28 @@ def _recording_folder(place: Place, job: Job, rig: RigFile, experiment: str) -> 
 
 
 class Procedure(NamedTuple):
-    """What a procedure does, and its options; a plain `Section` has none."""
+    """What a procedure does, and the names of its options among those of the command, or their own section."""
 
     carry_out: Callable[[Place, Job, Request, Any], Outcome]
-    options: type[Section] = Section
+    names: tuple[str, ...] = ()
+    section: type[Section] | None = None
+
+    def options(self, name: str) -> type[Section]:
+        """Return the options of the procedure `name`; a plain `Section` has none."""
+        return self.section or (options_of(name, self.names) if self.names else Section)
 
 
 PROCEDURES = {
-    "live": Procedure(_live, LiveOptions),
-    "timing": Procedure(_timing, TimingOptions),
+    "live": Procedure(_live, ("region",)),
+    "timing": Procedure(_timing, ("exposure_ms", "longest_ms")),
     "response": Procedure(_response),
-    "calibrate": Procedure(_calibrate, CalibrateOptions),
-    "check": Procedure(_check, CheckOptions),
+    "calibrate": Procedure(_calibrate, ("angles_deg",)),
+    "check": Procedure(_check, ("distance_mm", "vdi")),
     "region": Procedure(_region),
-    "noise": Procedure(_noise, NoiseOptions),
-    "advise": Procedure(_advise, AdviseOptions),
+    "noise": Procedure(_noise, ("steps",)),
+    "advise": Procedure(_advise, ("wanted_noise_px", "wanted_period_px", "pixel_size_mm", "strain_window_points")),
     "settings": Procedure(_settings),
-    "run": Procedure(_run, RunOptions),
+    "run": Procedure(_run, section=RunOptions),
     "by_hand": Procedure(_by_hand),
 }
 
@@ -339,7 +339,7 @@ def requested(procedure: str, pattern: str = "", text: str = "", options: str = 
         raise ConfigurationError(f"{procedure}: the options are not YAML: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(f"{procedure}: the options are no mapping; write them as {{exposure_ms: 3.0}}")
-    return Request(procedure, pattern, text, validate(PROCEDURES[procedure].options, content, procedure))
+    return Request(procedure, pattern, text, validate(PROCEDURES[procedure].options(procedure), content, procedure))
 
 
 def execute(place: Place, job: Job, request: Request) -> None:

@@ -47,7 +47,7 @@ class ProcedureServer:
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._participant = Participant("procedures", place.rig.namespace, domain=place.domain)
+        self._participant = Participant("procedures", place.rig.topic_namespace, domain=place.domain)
         node = self._participant.node
         self._changed = threading.Event()
         self._running: Job | None = None

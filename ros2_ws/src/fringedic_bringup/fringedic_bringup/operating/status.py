@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
+from fringedic.command.outcome import StepReport
 from fringedic.errors import OperatorError
-from fringedic_bringup.procedures.outcome import RunControl, StepReport
+from fringedic_bringup.procedures.outcome import RunControl
 
 NOTES = 200  # lines that are kept
 

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import xarray as xr
-
 from fringedic.calibration.acceptance import Place
 from fringedic.calibration.acceptance_sentences import place_in_words
+from fringedic.calibration.recorded_phases import recorded_phases
+from fringedic.command.acceptance import Shape
 from fringedic.command.outcome import Progress
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import StepFailedError
 from fringedic.rig.model import RigModel
 from fringedic_bringup.procedures.calibrate import calibration_client
-from fringedic_bringup.procedures.check import phase_maps
 from fringedic_ros.stamps import to_nanoseconds
 
 
 def shapes_by_nodes(
     rig: RigFile,
-    rig_path: Path,
     folder: Path,
     progress: Progress,
     *,
@@ -28,14 +26,14 @@ def shapes_by_nodes(
     places: list[Place],
     ask: Callable[[str], bool],
     domain: int | None = None,
-) -> Iterator[xr.Dataset]:
+) -> Iterator[Shape]:
     """Yield the surfaces that the nodes of a rig measure of artefacts that an operator places.
 
     The arguments are those of `fringedic.command.acceptance.accept`.
     """
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     stamps = []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+    with calibration_client(rig, folder, progress, ask=ask, domain=domain) as client:
         for number, place in enumerate(places, start=1):
             words = place_in_words(place)
             progress.part(number, len(places), words)
@@ -44,5 +42,5 @@ def shapes_by_nodes(
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.wait_until_recorded()
     finest = rig.patterns()[-1]
-    for phase in phase_maps(folder / "bag", stamps):
+    for phase in recorded_phases(folder / "bag", stamps):
         yield model.reconstruct(phase.phase, finest.pitch, phase.sigma, finest.orientation)

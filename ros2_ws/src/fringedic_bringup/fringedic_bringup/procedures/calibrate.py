@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.calibration.traceability import Traceability
 from fringedic.command.outcome import CalibrationReport, Progress
 from fringedic.configuration.rig_file import RigFile
@@ -67,7 +67,7 @@ def calibrate(
     if rig.projector is None:
         raise ConfigurationError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
     plane = rig.reference_plane
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, watch=watch, domain=domain) as client:
+    with calibration_client(rig, folder, progress, ask=ask, watch=watch, domain=domain) as client:
         camera = client.calibrate_distortion(
             grid_pitch,
             angles=plane.grid_angles,
@@ -113,7 +113,6 @@ def traceability_of(rig: RigFile) -> Traceability:
 @contextmanager
 def calibration_client(
     rig: RigFile,
-    rig_path: Path,
     folder: Path,
     progress: Progress,
     *,
@@ -135,7 +134,7 @@ def calibration_client(
     if (folder / "bag").exists():
         raise ConfigurationError(f"{folder} contains a recording already; choose another --output")
     folder.mkdir(parents=True, exist_ok=True)
-    graph = calibration_graph(rig, rig_path, folder)
+    graph = calibration_graph(rig, folder)
     progress.stage(f"starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
 
@@ -187,7 +186,7 @@ def placing_by(ask: Callable[[str], bool]) -> Callable[[int, float, float], str]
     def place(kind: int, angle: float, height: float) -> str:
         if kind == PlaneKind.SPECIMEN:
             return ""  # nothing waits for the specimen
-        words = place_in_words(kind, angle, height)
+        words = placing_instruction(kind, angle, height)
         return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped"
 
     return place

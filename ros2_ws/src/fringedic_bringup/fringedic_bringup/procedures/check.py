@@ -7,19 +7,15 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import xarray as xr
-
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import apart
+from fringedic.calibration.recorded_phases import recorded_phases
 from fringedic.calibration.sentences import check_in_words
 from fringedic.command.outcome import Progress
 from fringedic.configuration.calibration_in_use import calibration_to_check
 from fringedic.configuration.rig_file import RigFile
-from fringedic.errors import CalibrationError, RecordingError
-from fringedic.frames.messages import image_array
-from fringedic.frames.records import stamp_of
-from fringedic.recording.reader import BagReader
+from fringedic.errors import CalibrationError
 from fringedic.report.check import CHECK_PAGE, write_check_page
 from fringedic_bringup.procedures.calibrate import calibration_client, traceability_of
 from fringedic_msgs.srv import PlaceReferencePlane
@@ -74,7 +70,7 @@ def check(
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
     stamps, reached = [], []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, watch=watch, domain=domain) as client:
+    with calibration_client(rig, folder, progress, ask=ask, watch=watch, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
             reached.append(client.place(PLANE, height=height).height)
@@ -93,9 +89,9 @@ def check(
             f"the stage did not put the plane back: it reports {1e3 * reached[2]:.3f} mm instead of "
             f"{1e3 * reached[0]:.3f} mm; check its play and its driver"
         )
-    file = rig.calibration_file(rig_path)
+    file = rig.calibration_file
     known = None if file is None else _calibration_in(file)
-    first, lifted, last = phase_maps(folder / "bag", stamps)
+    first, lifted, last = recorded_phases(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
         model,
@@ -121,25 +117,3 @@ def _calibration_in(file: Path) -> RigCalibration | None:
         return RigCalibration.load(file)
     except CalibrationError:
         return None
-
-
-def phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
-    """Return the phase map of each stamp with its own sigma.
-
-    Raises
-    ------
-    RecordingError
-        The recording has no map of a stamp.
-    """
-    reader = BagReader(bag)
-    names = {full: name for name, full in reader.find("phase/map", "phase/sigma").items()}
-    images = {(names[topic], stamp_of(each)): image_array(each) for topic, each, _ in reader.messages(names)}
-    over = ("row", "column")
-    for number, stamp in enumerate(stamps, start=1):
-        for name in ("phase/map", "phase/sigma"):
-            if (name, stamp) not in images:
-                raise RecordingError(f"{bag} has no message of {name} of plane {number}: measure the planes again")
-    return [
-        xr.Dataset({"phase": (over, images["phase/map", stamp]), "sigma": (over, images["phase/sigma", stamp])})
-        for stamp in stamps
-    ]

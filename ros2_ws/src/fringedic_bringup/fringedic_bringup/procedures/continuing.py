@@ -23,7 +23,7 @@ from fringedic_msgs.msg import StepStatus
 STEPS_DONE = "steps_done"  # file among the logs: steps of the programme that were done, and the references
 COMPARED = ("experiment", "camera", "projector", "phase", "dic", "coupling")  # nodes whose parameters change results
 _LATER = "nodes, region_file or pixel_format, which earlier versions did not record without processing"
-OF_ONE_COMMAND = {"truth_folder", "calibration_file", "calibration_folder", "facts", "first_step", "reference_step"}
+OF_ONE_COMMAND = {"truth_folder", "calibration_file", "calibration_folder", "metadata", "first_step", "reference_step"}
 
 
 class RecordedSteps(NamedTuple):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from fringedic.command.outcome import CalibrationReport, Progress
+from fringedic.command.outcome import CalibrationReport, Progress, RunReport
+from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import StepFailedError
 from fringedic_bringup.procedures.calibrate import calibrate
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 
@@ -48,5 +48,5 @@ def run_demo(
         calibration = calibrations[optics]
         if not calibration.go:
             raise StepFailedError(f"{name}: {calibration.words[-1]}")
-        rig = rig.model_copy(update={"calibration": str(calibration.file.absolute())})
+        rig = RigFile.model_validate({**dict(rig), "calibration": str(calibration.file.absolute())})
         yield run_experiment(rig, path, programme, folder / name, progress, domain=domain)

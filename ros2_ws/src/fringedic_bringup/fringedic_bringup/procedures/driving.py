@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 
-from fringedic.command.outcome import Progress
+from fringedic.command.outcome import Progress, StepReport
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.configuration.sentences import block_end_sentence, condition_sentence
@@ -33,10 +33,11 @@ from fringedic.errors import (
     WaitTimeoutError,
 )
 from fringedic.recording.bag_files import BAG
+from fringedic.signals import FORCE
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
-from fringedic_bringup.procedures.outcome import RunControl, StepReport
+from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, StepStatus
@@ -112,7 +113,7 @@ def drive(
     NodeDiedError
         A node ended before all were ready.
     WaitTimeoutError
-        The nodes are not ready in time, or the strain that a condition needs has no publisher.
+        The nodes are not ready in time, or the strain or signal that a condition needs has no publisher.
     """
     control, faults = control or RunControl(), _FaultWatch()
 
@@ -124,9 +125,11 @@ def drive(
     with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
         record = _EndRecord(rig, programme.experiment)
         rig.wait_until_ready(running.graph.names)
-        needs_strain = any(until.needs_strain for until in programme.conditions())
+        conditions = programme.conditions()
+        needs_strain = any(until.needs_strain for until in conditions)
         if needs_strain:
             rig.wait_for_strain()
+        rig.wait_for_signals({name for until in conditions for name in until.signals})
         count = sum(step.mode != "none" for step in programme.load_steps())
         driver = _Driver(running, rig, progress, control, count - 1, needs_strain=needs_strain)
         if before is not None:
@@ -313,7 +316,9 @@ class _Driver:
         if replaced:  # by the experiment node
             self.interrupted = True
             self._require_zero_of_strain(f"step {result.step} became the reference")
-        return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
+        of_step = self._rig.reading_of_step
+        signals = {**of_step.signals, FORCE.name: result.force_mean}
+        return of_step._replace(signals=signals, valid_fraction=result.valid_fraction)
 
     def _report(self, report: StepReport) -> None:
         self.reports.append(report)
@@ -328,10 +333,10 @@ class _Driver:
             self._rig.move(position, step.speed)
             return ""
         self._tell(f"move towards {position * 1e3:.3f} mm")
-        strain, conditions = until.of_strain(), list[MetCondition]()
+        others, conditions = until.without_force(), list[MetCondition]()
 
         def met(reading: Reading) -> bool:
-            condition = None if strain is None else strain.met(reading)
+            condition = None if others is None else others.met(reading)
             if condition is not None:
                 conditions.append(condition)
             return bool(conditions)
@@ -341,9 +346,9 @@ class _Driver:
             step.speed,
             force_above=until.force_above_n,
             force_below=until.force_below_n,
-            until=None if strain is None else met,
+            until=None if others is None else met,
         )
-        if ended.force_reached and (condition := until.met(Reading(force=ended.reached_force))) is not None:
+        if ended.force_reached and (condition := until.met(Reading({FORCE.name: ended.reached_force}))) is not None:
             conditions.insert(0, condition)
         where = f"step {self.number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
         why = condition_sentence(conditions[0]) if conditions else "no condition was met before its position"

@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.client import Client
 from sensor_msgs.msg import Image
 
 from fringedic.errors import StepFailedError, WaitTimeoutError
-from fringedic.frames.records import FrameRecord, frame_record
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.frames.records import Frame, frame_record
+from fringedic.patterns.pattern import SETUP, PatternKind, ProjectedPattern
 from fringedic_bringup.client import RigClient
 from fringedic_msgs.msg import Exposure
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
@@ -24,8 +23,6 @@ from fringedic_ros.stamps import to_nanoseconds
 
 CONNECTING_S = 2.0  # for a frame that may be lost because the camera is not connected yet
 FRAME_TIMEOUT_S = 30.0  # for an image and its record after the answer of the camera
-WHITE = ProjectedPattern(PatternKind.WHITE)
-SETUP = ProjectedPattern(PatternKind.OTHER)
 
 
 class ExposingClient(RigClient):
@@ -77,8 +74,8 @@ class ExposingClient(RigClient):
         self._shown_at, self._pattern = response.shown, pattern
         return to_nanoseconds(response.shown)
 
-    def expose(self, exposure_time: float = 0.0) -> tuple[np.ndarray, FrameRecord]:
-        """Take a frame of the current pattern and return it with its record.
+    def expose(self, exposure_time: float = 0.0) -> Frame:
+        """Take a frame of the current pattern.
 
         Parameters
         ----------
@@ -112,7 +109,7 @@ class ExposingClient(RigClient):
             else:
                 self._connected = True
 
-    def _capture(self, exposure_time: float, timeout_s: float) -> tuple[np.ndarray, FrameRecord]:
+    def _capture(self, exposure_time: float, timeout_s: float) -> Frame:
         """Take one frame and wait for its image and its record."""
         request = CaptureFrame.Request(
             experiment="single frames",
@@ -147,7 +144,7 @@ class ExposingClient(RigClient):
         self.wait_for(arrived, timeout_s, missing)
         assert self._image is not None, "it arrived"
         assert self._exposure is not None, "it arrived"
-        return image_array(self._image), frame_record(self._exposure)
+        return Frame(image_array(self._image), frame_record(self._exposure))
 
     def _reach(self, client: Client, harmless: Any) -> None:
         """Wait for a first response: a server that has not discovered this client yet loses its responses."""

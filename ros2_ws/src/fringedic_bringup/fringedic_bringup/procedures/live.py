@@ -10,10 +10,10 @@ from pathlib import Path
 
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError, WaitTimeoutError
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import SETUP, WHITE, PatternKind, ProjectedPattern
 from fringedic_bringup.launch.graph import live_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, SETUP, WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, ExposingClient
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
 from fringedic_ros.arrivals import unconnected
@@ -54,7 +54,7 @@ def watch(
     """
     if rig.projector is None and pattern is not LivePattern.WHITE:
         raise ConfigurationError(f"{rig_path}: has no projector that could show {pattern}")
-    graph = live_graph(rig, rig_path, region)
+    graph = live_graph(rig, region)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-live-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,

@@ -5,17 +5,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from fringedic.configuration.rig_file import load_rig_file
+from fringedic.frames.records import Frame
+from fringedic.patterns.pattern import WHITE
 from fringedic_bringup.launch.graph import exposing_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 
 SETTLING_S = 1.0  # longer than the delay of any projector
 
 
-def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> np.ndarray:
+def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> Frame:
     """Return a frame of a rig in white light.
 
     Parameters
@@ -31,7 +31,7 @@ def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> np.ndarray:
         The rig file is not valid, or the camera of the rig takes no frame.
     """
     rig = load_rig_file(rig_path)
-    graph = exposing_graph(rig, rig_path)
+    graph = exposing_graph(rig)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-region-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,
@@ -41,4 +41,4 @@ def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> np.ndarray:
         if rig.projector is not None:
             client.show(WHITE)
             client.sleep(SETTLING_S)
-        return client.expose()[0]
+        return client.expose()

@@ -25,7 +25,7 @@ _LOOK_EVERY_S = 0.1
 _REMAINING = 100  # callbacks after the end of the player, which leaves when its last status was received
 
 
-def replay(
+def replay(  # noqa: PLR0913 (options of a public function, all by keyword)
     bag: Path,
     output: Path,
     progress: Progress,
@@ -34,6 +34,7 @@ def replay(
     steps: Sequence[int] = (),
     reference: int | None = None,
     calibration: Path | None = None,
+    sensor: str | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Path:
     """Process a recording again by the nodes and return the new recording.
@@ -56,6 +57,8 @@ def replay(
         A step that all others are measured against, earlier ones too; by default as recorded.
     calibration
         File that replaces the recorded calibration of the rig.
+    sensor
+        Name of the sensor, if the recording contains several.
     environment
         Further environment variables of the nodes, such as NUMBA_NUM_THREADS.
 
@@ -63,7 +66,8 @@ def replay(
     ------
     RecordingError
         The recording lacks frames, exposures or steps, or a calibration when none is given; the output contains a
-        recording already; or the recorder stopped, such as on a full disk.
+        recording already; or the recorder stopped, such as on a full disk; or it contains several sensors and none is
+        chosen.
     CalibrationError
         The calibration belongs to another rig, or its lengths contradict each other.
     PatternError
@@ -78,13 +82,14 @@ def replay(
     target = output / "bag"
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another --output")
+    reader = BagReader(bag, sensor=sensor)
     if calibration is None:
-        require_calibration(BagReader(bag))
+        require_calibration(reader)
     else:
-        check_calibration(RigModel.from_yaml(calibration), recorded_setup(BagReader(bag)))
-    count = _count_steps(bag, set(steps), reference)
-    refuse_repeated_steps(records(BagReader(bag)), bag)
-    graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
+        check_calibration(RigModel.from_yaml(calibration), recorded_setup(reader))
+    count = _count_steps(reader, set(steps), reference)
+    refuse_repeated_steps(records(reader), bag)
+    graph = replay_graph(reader, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
     with (
         private_domain() as domain,
         _PlayedSteps(graph.namespace, domain, count, progress) as played,
@@ -163,7 +168,7 @@ class _PlayedSteps:
             self._progress.note(f"step {status.step}: {status.error_message} (error {status.error_code})")
 
 
-def _count_steps(bag: Path, chosen: set[int], reference: int | None) -> int:
+def _count_steps(reader: BagReader, chosen: set[int], reference: int | None) -> int:
     """Return the number of steps that the player plays: all, or the chosen ones with their references.
 
     Raises
@@ -173,7 +178,6 @@ def _count_steps(bag: Path, chosen: set[int], reference: int | None) -> int:
     ConfigurationError
         A chosen step is not in the recording.
     """
-    reader = BagReader(bag)
     reader.find("camera/image_raw", "camera/exposure", "experiment/step")
     names = reader.find_optional("experiment/step", "experiment/reference")
     steps: set[int] = set()
@@ -184,7 +188,7 @@ def _count_steps(bag: Path, chosen: set[int], reference: int | None) -> int:
     absent = sorted(requested - steps)
     if absent:
         present = ", ".join(map(str, sorted(steps)))
-        raise ConfigurationError(f"{bag} has no step {', '.join(map(str, absent))}; it has {present}")
+        raise ConfigurationError(f"{reader.path} has no step {', '.join(map(str, absent))}; it has {present}")
     if not chosen:
         return len(steps)
     return len(requested if reference is not None else (requested | references | {min(steps)}) & steps)

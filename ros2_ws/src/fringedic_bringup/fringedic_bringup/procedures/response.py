@@ -7,20 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from fringedic.command.outcome import Progress
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError
 from fringedic.figures.response import response_figure
-from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.frames.records import Frame, image_stack
+from fringedic.patterns.pattern import SETUP, Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import SERIES_SHIFTS, HarmonicError, measure_harmonic_error
 from fringedic.rig_setup.projector_sentences import response_sentences
 from fringedic.rig_setup.response import Correction, assess_correction, measure_response, response_patterns
 from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import SETUP, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 
 FILE = "response.yaml"
 PICTURE = "response.png"
@@ -82,20 +81,22 @@ def measure_rig_response(
     greys = response_patterns()
     fringes = _fringes(rig)
     rig_frames = _RigFrames(rig, rig_path, folder / "logs", progress, domain)
-    frames = rig_frames.take([*greys, *fringes], "without correction")
+    frames = image_stack(rig_frames.take([*greys, *fringes], "without correction"))
     saturation = full_scale(rig) or None
     curve = measure_response(frames[: len(greys)], greys, saturation=saturation)
     before = measure_harmonic_error(frames[len(greys) :], saturation=saturation)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / FILE
     curve.save(file)
-    corrected = rig_frames.take(fringes, "with correction", curve_file=file)
+    corrected = image_stack(rig_frames.take(fringes, "with correction", curve_file=file))
     after = measure_harmonic_error(corrected, saturation=saturation)
     response_figure(curve, before, after).savefig(folder / PICTURE)
     setting = ""
     if assess_correction(before, after) is Correction.USEFUL:
         setting = f"projector:\n  response_curve: {_relative(file, rig_path)}"
-    return ResponseReport(curve, before, after, response_sentences(curve, before, after, rig.sequence.shifts), setting)
+    return ResponseReport(
+        curve, before, after, response_sentences(curve, before, after, min(rig.sequence.shifts)), setting
+    )
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class _RigFrames:
     progress: Progress
     domain: int | None
 
-    def take(self, patterns: Sequence[ProjectedPattern], name: str, *, curve_file: Path | None = None) -> np.ndarray:
+    def take(self, patterns: Sequence[ProjectedPattern], name: str, *, curve_file: Path | None = None) -> list[Frame]:
         """Start the nodes with a curve, or with none, and take one frame of each pattern."""
         graph = self._graph(curve_file)
         self.progress.stage(f"starting {len(graph.nodes)} nodes")
@@ -120,16 +121,16 @@ class _RigFrames:
             client.wait_until_ready(graph.names)
             for number, pattern in enumerate(patterns, start=1):
                 client.show(pattern)
-                frames.append(client.expose()[0])
+                frames.append(client.expose())
                 self.progress.part(1, 1, name, number, len(patterns))
             client.show(SETUP, "dark")
-        return np.array(frames)
+        return frames
 
     def _graph(self, curve_file: Path | None) -> Graph:
         assert self.rig.projector is not None, "checked by the caller"
-        file = None if curve_file is None else str(curve_file.absolute())
+        file = "" if curve_file is None else str(curve_file.absolute())
         projector = self.rig.projector.model_copy(update={"response_curve": file})
-        graph = exposing_graph(self.rig.model_copy(update={"projector": projector}), self.rig_path)
+        graph = exposing_graph(self.rig.model_copy(update={"projector": projector}))
         return replace(graph, nodes=tuple(map(self._with_settle_time, graph.nodes)))
 
     def _with_settle_time(self, node: NodeEntry) -> NodeEntry:

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-import xarray as xr
-
 from fringedic.calibration.sentences import in_force_words
-from fringedic.command.outcome import Progress
+from fringedic.command.outcome import CALIBRATION_FILE, Progress, RunReport
+from fringedic.command.run_results import Reconstruct, write_results
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.sentences import forecast_sentence
 from fringedic.configuration.virtual_calibration import calibration_of
-from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
-from fringedic.datasets.sentences import confirmation_sentence
-from fringedic.errors import ConfigurationError, DatasetError, ImageError
-from fringedic.evaluation import compare_with_truth, open_truth
-from fringedic.evaluation.truth import TRUTH
-from fringedic.figures.maps import save_pictures
+from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.files import image_files
-from fringedic.frames.records import frame_record, stamp_of
-from fringedic.recording.frames import EXPOSURE, IMAGE, with_losses
-from fringedic.recording.reader import BagReader
-from fringedic.report import write_report
+from fringedic.frames.sensor import file_of
 from fringedic.settings.camera import FilesCamera, StoredImages
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
@@ -42,10 +30,8 @@ from fringedic_bringup.procedures.continuing import (
     require_same_settings,
 )
 from fringedic_bringup.procedures.driving import drive
-from fringedic_bringup.procedures.outcome import RunControl, RunReport, StepReport
+from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import join_parts
-
-Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
 
 def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -> tuple[RigFile, Programme]:
@@ -143,7 +129,7 @@ def run_experiment(
     if not resume:
         _announce(forecast(rig, programme), programme, folder, progress)
     with folder_of_one_command(folder):
-        bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
+        bag, calibration, before = folder / "bag", file_of(folder / CALIBRATION_FILE, rig.sensor), None
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
         if resume:
@@ -152,12 +138,12 @@ def run_experiment(
             require_no_nodes(domain_of(node_environment(domain)), graph)
             require_same_messages(bag)
             join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
-            before = recorded_steps(bag, programme, rig.namespace)
+            before = recorded_steps(bag, programme, rig.topic_namespace)
             require_same_settings(graph, folder / "logs")
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
             _announce(forecast(rig, programme, before.done), programme, folder, progress)
             graph = continued(graph, bag, before)
-        if (calibration_file := rig.calibration_file(rig_path)) is not None:
+        if (calibration_file := rig.calibration_file) is not None:
             for words in in_force_words(calibration_file, datetime.now(UTC)):
                 progress.note(words)
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
@@ -191,117 +177,9 @@ def _announce(expected: Forecast, programme: Programme, folder: Path, progress: 
     expected.check_disk(folder)
 
 
-def write_results(
-    experiment: str,
-    folder: Path,
-    steps: list[StepReport],
-    *,
-    exact: Reconstruct | None = None,
-    measure_again: Sequence[int] = (),
-) -> RunReport:
-    """Write dataset, pictures and report of a recording; add lost frames and errors against the truth to the steps.
-
-    Parameters
-    ----------
-    measure_again
-        Reference steps for a new measurement of all steps from the recorded frames; empty: the nodes' results.
-    exact
-        Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
-        the errors of these heights are added as ``z_exact``.
-    """
-    bag = folder / "bag"
-    recorded = BagReader(bag)
-    if not recorded.find_optional("camera/exposure"):
-        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
-    target = folder / "results.nc"
-    losses = frame_losses(bag)
-    for report in steps:
-        report.dropped, report.missing = losses.get(report.step, (0, 0))
-    try:
-        if measure_again:
-            process_bag(bag, output=target, experiment=experiment, reference=measure_again, overwrite=True)
-        elif recorded.find_optional("phase/status"):
-            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
-        else:
-            process_bag(bag, output=target, experiment=experiment, overwrite=True)
-    except DatasetError as error:
-        return RunReport(experiment, folder, steps, [], unmeasured=str(error))
-    with open_experiment(target) as dataset:
-        pictures, errors, no_errors = _compare(dataset, folder, exact)
-        if measure_again:  # the nodes measured against another reference
-            for report in steps:
-                if report.step in dataset.step:
-                    report.rms_displacement = float(dataset.rms_displacement.sel(step=report.step))
-        verdict = confirmation_sentence(dataset)
-    write_report(target, folder / "report.html", overwrite=True)
-    for report in steps:
-        report.errors = errors.get(report.step, {})
-    return RunReport(experiment, folder, steps, pictures, no_errors=no_errors, verdict=verdict)
-
-
-def _compare(
-    dataset: xr.Dataset, folder: Path, exact: Reconstruct | None
-) -> tuple[list[Path], dict[int, dict[str, float]], str]:
-    """Draw the steps; return pictures, errors of each step, and why there are none although there is a truth."""
-    if not (folder / TRUTH).exists():
-        return save_pictures(dataset, folder), {}, ""
-    try:
-        with open_truth(folder) as truth:
-            # failed steps have no truth, nor have those after a restart of the virtual camera
-            is_told = dataset.step.values < truth.sizes.get("step", 0)
-            told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
-            errors = compare_with_truth(told, folder)
-            pictures = save_pictures(told, folder, truth=truth)
-            heights = {} if exact is None else _heights(told, truth, exact)
-    except DatasetError as error:
-        return save_pictures(dataset, folder), {}, str(error)
-    pictures += save_pictures(untold, folder) if untold.sizes["step"] else []
-    return (
-        pictures,
-        {step: _errors_of(errors, step) | heights.get(step, {}) for step in errors.step.values.tolist()},
-        "",
-    )
-
-
-def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
-    """Return (frames that the camera dropped, exposures without image in the recording) of each step.
-
-    Those of the free run belong to no step.
-    """
-    reader = BagReader(bag)
-    names = reader.find(IMAGE, EXPOSURE)
-    images, records = set(), []
-    for topic, message, _ in reader.messages(names.values()):
-        if topic == names[IMAGE]:
-            images.add(stamp_of(message))
-        else:
-            records.append(frame_record(message))
-    dropped: Counter[int] = Counter()
-    missing: Counter[int] = Counter()
-    for record, lost in with_losses(records):
-        dropped[record.step] += lost
-        missing[record.step] += record.stamp not in images
-    return {step: (dropped[step], missing[step]) for step in dropped}
-
-
 def _exact(rig: RigFile) -> Reconstruct | None:
     """Return a reconstruction with the exact calibration of a virtual rig; None when the run uses that one anyway."""
     if rig.virtual_rig is None or rig.calibration in (None, VIRTUAL_RIG):
         return None
     model, finest = calibration_of(rig.virtual_configuration()), rig.patterns()[-1]
     return lambda phase: model.reconstruct(phase, finest.pitch, orientation=finest.orientation)
-
-
-def _heights(dataset: xr.Dataset, truth: xr.Dataset, exact: Reconstruct) -> dict[int, dict[str, float]]:
-    """Return the RMS error of z [µm] of the steps with the exact calibration."""
-    errors = {}
-    for step in dataset.step.values:
-        measured = exact(dataset.phase.sel(step=step)).z.values
-        true = truth.z_deformed.isel(step=int(step)).sel(row=dataset.row.values, column=dataset.column.values).values
-        errors[int(step)] = {"z_exact": 1e6 * float(np.sqrt(np.nanmean((measured - true) ** 2)))}
-    return errors
-
-
-def _errors_of(errors: xr.Dataset, step: int) -> dict[str, float]:
-    row = errors.sel(step=step)
-    return {name: float(row[f"error_{name}"]) for name in ("u", "v", "w", "z")}

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import SETUP, WHITE, PatternKind, ProjectedPattern
 from fringedic_bringup.launch.graph import projecting_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import SETUP, WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 from fringedic_bringup.procedures.setup_patterns import ShownPattern
 
 
@@ -45,7 +45,7 @@ def hold_pattern(
     """
     if rig.projector is None:
         raise ConfigurationError(f"{rig_path}: has no projector that could show {pattern}")
-    graph = projecting_graph(rig, rig_path)
+    graph = projecting_graph(rig)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-show-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,

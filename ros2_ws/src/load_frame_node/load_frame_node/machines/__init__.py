@@ -3,6 +3,8 @@
 from typing import Any
 
 from fringedic.errors import MachineError
+from fringedic.settings.load_frame import DescribedLoadFrame, LoadFrameNodeSettings
+from fringedic_ros.lifecycle import HardwareNode
 from load_frame_node.machines.described import Answer, DescribedMachine
 from load_frame_node.machines.description import (
     MachineDescription,
@@ -41,6 +43,13 @@ def open_machine(description: MachineDescription, *, is_required: bool = True) -
     return machine
 
 
+def open_described_machine(
+    settings: DescribedLoadFrame, node: HardwareNode[LoadFrameNodeSettings]
+) -> DescribedMachine[Any]:
+    """Connect to the machine that the file of the settings describes."""
+    return open_machine(load_machine(settings.file), is_required=node.parameters.value.machine_required)
+
+
 __all__ = [
     "Answer",
     "DescribedMachine",
@@ -54,5 +63,6 @@ __all__ = [
     "ScpiMachine",
     "SimulatedMachine",
     "load_machine",
+    "open_described_machine",
     "open_machine",
 ]

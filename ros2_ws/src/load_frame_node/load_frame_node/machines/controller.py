@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
@@ -14,6 +13,8 @@ from sensor_msgs.msg import JointState
 
 from fringedic.errors import MachineError
 from fringedic.frames.clocks import wall_minus_monotonic_ns
+from fringedic.settings.base import MILLI
+from fringedic.settings.load_frame import ControllerLoadFrame
 from fringedic_ros.arrivals import Arrivals, Problem, stamp_problem
 from fringedic_ros.stamps import to_nanoseconds
 from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode, Motion, Sample
@@ -21,52 +22,31 @@ from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMo
 _OLDEST_S = 1.0  # older messages do not describe the present state
 
 
-@dataclass(frozen=True)
-class ControllerTopics:
-    """Topics that contain the state of the machine, and how its motion is recognised.
-
-    Attributes
-    ----------
-    joint_states, joint
-        Topic and joint that contain the position of the crosshead [m].
-    wrench, force_axis, force_sign
-        Topic and axis that contain the force [N], and the sign that makes tension positive.
-    slowest, span
-        Speed above which the crosshead counts as moving [m/s], and the time over which it is determined [s].
-    """
-
-    joint_states: str
-    joint: str
-    wrench: str
-    force_axis: str
-    force_sign: int
-    slowest: float
-    span: float
-
-
 class ControllerMachine:
     """Combines the latest joint state and wrench to a sample with the stamp of the joint state.
 
     Parameters
     ----------
+    settings
+        Topics that contain position and force, and how a motion is recognised.
     node
         Owner of the subscriptions.
-    topics
-        Topics that contain position and force.
     """
 
-    def __init__(self, node: Node, topics: ControllerTopics) -> None:
+    def __init__(self, settings: ControllerLoadFrame, node: Node) -> None:
         self._node = node
-        self._source = topics
+        self._source = settings
         self._position: _Value | None = None
         self._force: _Value | None = None
-        self._motion = Motion(topics.slowest, topics.span)
+        self._motion = Motion(MILLI * settings.slowest_mm_per_s, settings.motion_span_s)
         self._mode = LoadMode.UNKNOWN
-        self._joint_arrivals = Arrivals(node, JointState, topics.joint_states)
-        self._wrench_arrivals = Arrivals(node, WrenchStamped, topics.wrench)
+        self._joint_arrivals = Arrivals(node, JointState, settings.joint_states_topic)
+        self._wrench_arrivals = Arrivals(node, WrenchStamped, settings.wrench_topic)
         self._subscriptions = [
-            node.create_subscription(JointState, topics.joint_states, self._take_joints, qos_profile_sensor_data),
-            node.create_subscription(WrenchStamped, topics.wrench, self._take_wrench, qos_profile_sensor_data),
+            node.create_subscription(
+                JointState, settings.joint_states_topic, self._take_joints, qos_profile_sensor_data
+            ),
+            node.create_subscription(WrenchStamped, settings.wrench_topic, self._take_wrench, qos_profile_sensor_data),
         ]
 
     def sample(self) -> Sample:
@@ -87,8 +67,8 @@ class ControllerMachine:
         unknown = "; ".join(
             f"{topic}: the {what} is unknown: its value is beyond {largest:g} {unit}, which no testing machine shows"
             for topic, what, value, largest, unit in (
-                (self._source.wrench, "force", force, LARGEST_FORCE_N, "N"),
-                (self._source.joint_states, "position", position, FARTHEST_M, "m"),
+                (self._source.wrench_topic, "force", force, LARGEST_FORCE_N, "N"),
+                (self._source.joint_states_topic, "position", position, FARTHEST_M, "m"),
             )
             if math.isnan(value)
         )

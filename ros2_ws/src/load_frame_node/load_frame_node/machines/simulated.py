@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 
 from fringedic.frames.clocks import wall_minus_monotonic_ns
-from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame
+from fringedic.settings.load_frame import LoadFrameNodeSettings, VirtualLoadFrame
+from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame, VirtualRigConfiguration
+from fringedic_ros.lifecycle import HardwareNode
 from load_frame_node.machines.machine import LoadMode, Sample
 
 _MODES = {
@@ -51,3 +53,9 @@ class SimulatedMachine:
         now = time.monotonic_ns()
         self._machine.advance(1e-9 * (now - self._advanced_ns))
         self._advanced_ns = now
+
+
+def open_simulated_machine(_settings: VirtualLoadFrame, node: HardwareNode[LoadFrameNodeSettings]) -> SimulatedMachine:
+    """Return the machine of the virtual rig of a load frame node."""
+    rig = VirtualRigConfiguration.from_dict(node.parameters.value.virtual_rig)
+    return SimulatedMachine(SimulatedLoadFrame(rig.load_frame, rig.seed))

@@ -15,9 +15,9 @@ from fringedic.phase.checks.sampling import half_periods
 from fringedic.phase.layout import Layout, shift_angles
 from fringedic.phase.sinusoids import fit_wave
 
-_LINES = 24  # of the image, in which jumps are counted
-_LEAST_MODULATION = 0.3  # of that of the brightest pixels
-_SUSPICIOUS = 0.5  # jumps per line: a step of the surface gives one or two, too
+_LINES = 24  # jumps are counted in so many lines of the image
+_LEAST_MODULATION = 0.3  # pixels with a smaller part of the modulation of the brightest ones are left out
+_SUSPICIOUS = 0.5  # jumps per line are suspicious: a step of the surface gives one or two on some lines only
 
 
 class CodeJumps:

@@ -22,13 +22,13 @@ from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.sinusoids import harmonic_levels, residual_maker, wave_levels, waves
 
 # The scenes of benchmarks/stack_checks.py fix these limits
-_FALSE_ALARMS = 1e-6  # of each chi-square test, when nothing but noise changes
-_REPORTED = 0.2  # part of the allowed error from which a remark is made
-_REPORTED_FLICKER = 0.02  # change of the light from which a remark is made
-_LARGEST_FLICKER = 0.6  # change of the light beyond which a frame shows another pattern
-_OFFSET = 0.004  # of the centre of the fringes' circle over the mean, which the surface may have by itself
-_OUTLIER = 9.0  # times the median square of the residuals: such a pixel has half its weight
-_LARGEST_MEAN = 0.35  # of exp(i phi) over the pixels; above, single frames cannot be distinguished
+_FALSE_ALARMS = 1e-6  # so often a chi-square test reports pure noise
+_REPORTED = 0.2  # a remark is made from this part of the allowed error on
+_REPORTED_FLICKER = 0.02  # a remark is made from this change of the light on
+_LARGEST_FLICKER = 0.6  # a frame whose light changes by more shows another pattern
+_OFFSET = 0.004  # the surface alone may move the centre of the fringes' circle by this part of the mean
+_OUTLIER = 9.0  # a pixel with so many times the median square of the residuals has half its weight
+_LARGEST_MEAN = 0.35  # above this mean of exp(i phi) over the pixels, single frames cannot be distinguished
 _RANK = 1e-6  # singular values below this part of the largest are not determined by the frames
 
 
@@ -57,10 +57,26 @@ def find_changes(sample: Sample, camera: CameraNoise, largest_error: float, larg
     changes = _fit_changes(sample, fringes, camera)
     count = changes.frames
     found = []
+    light, modulation = changes.light, fringes.modulation
+    # eq. 11 of the light's change: sin(angle - phi) / B, times the model
+    error = np.einsum("kp,kp,k->p", fringes.quadrature, fringes.model, -2 / changes.frames * light) / modulation**2
+    rms = float(np.std(error)) / (2 * np.pi)
+    flicker = Finding(
+        FindingKind.FLICKER, rms > largest_error, value=rms, limit=largest_error, light_change=float(np.ptp(light))
+    )
+    along_x, along_y = changes.texture
+    motion = float(np.hypot(np.ptp(along_x), np.ptp(along_y)))
+    across = Finding(FindingKind.MOTION_ACROSS, motion > largest_motion, value=motion, limit=largest_motion)
+    wander = changes.fringes - changes.fringes.mean(axis=1, keepdims=True)
+    # the slopes belong to coordinates of -1 to 1, whose mean square is 1/3
+    swing = float(
+        np.sqrt(np.mean(wander[0] ** 2) + (np.mean(wander[1] ** 2) + np.mean(wander[2] ** 2)) / 3) / (2 * np.pi)
+    )
+    along = Finding(FindingKind.MOTION_ALONG, swing > largest_error, value=swing, limit=largest_error)
     for finding, parameters in (
-        (_flicker(changes, fringes, largest_error), slice(0, count)),
-        (_motion_across(changes, largest_motion), slice(4 * count, None)),
-        (_motion_along(changes, largest_error), slice(count, 4 * count)),
+        (flicker, slice(0, count)),
+        (across, slice(4 * count, None)),
+        (along, slice(count, 4 * count)),
     ):
         worth = finding.value > _REPORTED * finding.limit or finding.light_change > _REPORTED_FLICKER
         if worth and _is_significant(*changes.part(parameters)):
@@ -166,7 +182,10 @@ def _fit_changes(sample: Sample, fringes: _Fringes, camera: CameraNoise) -> _Cha
     """Return the least-squares estimate of the changes of all frames."""
     count, pixels = fringes.levels.shape
     rest = fringes.levels - fringes.model
-    weight = _weights(rest, fringes, camera)
+    # A pixel weighs the inverse of its noise, and less where the sinusoid fits badly (shadow edges).
+    weight = 1 / np.sqrt(camera.variance(np.maximum(fringes.fit[0], 0)))
+    square = np.sum(rest**2, axis=0) * weight**2
+    weight = np.asarray(weight / np.sqrt(1 + square / max(_OUTLIER * float(np.median(square)), 1e-12)))
     rest = rest * weight
     parts = _design(sample, fringes, weight).reshape(6 * count, pixels)
     normal = np.tile(residual_maker(fringes.angles), (6, 6)) * (parts @ parts.T)
@@ -180,13 +199,6 @@ def _fit_changes(sample: Sample, fringes: _Fringes, camera: CameraNoise) -> _Cha
     inverse = np.linalg.pinv(normal, rcond=_RANK, hermitian=True)
     scatter = noise / (pixels * (count - 3)) if count > 3 else 1.0
     return _Changes(count, inverse @ right, inverse * max(scatter, 1.0))
-
-
-def _weights(rest: np.ndarray, fringes: _Fringes, camera: CameraNoise) -> np.ndarray:
-    """Return the weight of each pixel: the inverse of its noise, less where the sinusoid fits badly (shadow edges)."""
-    weight = 1 / np.sqrt(camera.variance(np.maximum(fringes.fit[0], 0)))
-    square = np.sum(rest**2, axis=0) * weight**2
-    return np.asarray(weight / np.sqrt(1 + square / max(_OUTLIER * float(np.median(square)), 1e-12)))
 
 
 def _without_harmonics(
@@ -270,31 +282,6 @@ def _add_circle_condition(normal: np.ndarray, right: np.ndarray, sample: Sample,
     weight = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True) @ courses
     normal += courses.T @ weight
     right += values[:known] @ weight
-
-
-def _flicker(changes: _Changes, fringes: _Fringes, largest_error: float) -> Finding:
-    light, modulation = changes.light, fringes.modulation
-    # eq. 11 of the light's change: sin(angle - phi) / B, times the model
-    error = np.einsum("kp,kp,k->p", fringes.quadrature, fringes.model, -2 / changes.frames * light) / modulation**2
-    rms = float(np.std(error)) / (2 * np.pi)
-    return Finding(
-        FindingKind.FLICKER, rms > largest_error, value=rms, limit=largest_error, light_change=float(np.ptp(light))
-    )
-
-
-def _motion_across(changes: _Changes, largest_motion: float) -> Finding:
-    along_x, along_y = changes.texture
-    motion = float(np.hypot(np.ptp(along_x), np.ptp(along_y)))
-    return Finding(FindingKind.MOTION_ACROSS, motion > largest_motion, value=motion, limit=largest_motion)
-
-
-def _motion_along(changes: _Changes, largest_error: float) -> Finding:
-    wander = changes.fringes - changes.fringes.mean(axis=1, keepdims=True)
-    # the slopes belong to coordinates of -1 to 1, whose mean square is 1/3
-    rms = float(
-        np.sqrt(np.mean(wander[0] ** 2) + (np.mean(wander[1] ** 2) + np.mean(wander[2] ** 2)) / 3) / (2 * np.pi)
-    )
-    return Finding(FindingKind.MOTION_ALONG, rms > largest_error, value=rms, limit=largest_error)
 
 
 def _is_significant(values: np.ndarray, covariance: np.ndarray) -> bool:

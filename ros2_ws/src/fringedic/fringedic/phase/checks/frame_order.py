@@ -24,19 +24,19 @@ from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.findings import Finding, FindingKind
 
 # The scenes of benchmarks/stack_checks.py fix these limits
-_PIXELS = 1000  # of the sample, for the comparison of explanations
-# part of the misfit that remains at most with the right explanation; where a frame of four is wrong, the other three
-# give a wrong phase with a nonlinear response
+_PIXELS = 1000  # explanations are compared on so many pixels of the sample
+# The right explanation leaves at most this part of the misfit. Where one frame of four is wrong, the other three give a
+# wrong phase with a nonlinear response.
 _EXPLAINED = 0.45
-_FLOOR = 0.004  # misfit that any stack may leave: explanations below it are as good as each other
+_FLOOR = 0.004  # any stack may leave this misfit: explanations below it are as good as each other
 _AS_GOOD = 1.5  # explanations whose misfit is larger by no more than this factor compete by the jumps of their code
-_UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to remove
-_LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
-_FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
-_NO_SINUSOID = 0.15  # residual over the modulation, RMS, of frames that no explanation fits
-_ALIKE = 2.0  # times its pitch: a pitch that is seen smaller or larger shows another pattern
-_ONE_PHASE = 0.95  # of |mean of exp(i phi)|; fringes over a third of a pitch have 0.83
-_SMALLEST_DEVIATION = 0.5  # of a wrong frame from its pattern, over that of the pattern before
+_UNKNOWN_FRAME = 0.001  # a frame without a known pattern has to remove this misfit
+_LAGS = (0.08, 0.95)  # these parts of the pattern before leave a misfit and are not a whole frame
+_FEWER_JUMPS = 0.5  # the right order of the bits leaves at most this part of the jumps
+_NO_SINUSOID = 0.15  # no explanation fits frames whose RMS residual exceeds this part of the modulation
+_ALIKE = 2.0  # a pitch that is seen so many times smaller or larger shows another pattern
+_ONE_PHASE = 0.95  # |mean of exp(i phi)| exceeds this for one phase; fringes over a third of a pitch have 0.83
+_SMALLEST_DEVIATION = 0.5  # a wrong frame deviates from its pattern by this part of the deviation of the pattern before
 
 
 _LOSING = (FindingKind.OTHER_PATTERN, FindingKind.DOUBLED, FindingKind.MISSING)  # a pattern is not seen
@@ -82,22 +82,52 @@ def check_order(
     """
     recorded = tuple(range(len(patterns)))
     if evidence.is_small:
-        found = _interchanged_bits(jumps, sample.layout.code, recorded) if jumps.are_suspicious else None
-        return None if found is None else _finding(found, patterns)
+        swapped = _interchanged_bits(jumps, sample.layout.code, recorded) if jumps.are_suspicious else None
+        return None if swapped is None else _finding(swapped, patterns)
     few = sample.thin(_PIXELS)
     misfit = Misfit(few, noise)
-    found, left = _best(misfit, jumps, recorded)
+    trials = [(misfit.least(each.shown) + _UNKNOWN_FRAME * each.unknown, each) for each in explanations(len(recorded))]
+    found: list[tuple[float, Explanation]] = []
+    least = math.inf
+    for bound, each in sorted(trials, key=lambda trial: trial[0]):
+        if bound > max(_AS_GOOD * least, _FLOOR) or math.isinf(bound):
+            break  # the residuals alone exclude the rest
+        if _deviates(misfit, each):
+            found.append((misfit(each.shown).total + _UNKNOWN_FRAME * each.unknown, each))
+            least = min(least, found[-1][0])
+    equal = [each for each in found if each[0] <= max(_AS_GOOD * least, _FLOOR)]
+    left, explanation = min(equal, key=lambda each: (jumps(each[1].shown) if jumps.exist else 0, each[0]))
     lag = _best_lag(misfit, sample)
     best: tuple[float, Finding | None] = min(
-        (left, _finding(found, patterns)),
+        (left, _finding(explanation, patterns)),
         (misfit.lagging(lag.value).total + _UNKNOWN_FRAME, lag),
         # changes of the light and motions have many parameters: they explain a frame too many or too few as well
         *((_FLOOR + Misfit(each, noise)(recorded).total, None) for each in without_changes(few, noise)),
         key=lambda each: each[0],
     )
     if best[0] < _EXPLAINED * misfit(recorded).total:
-        return _of_three_shifts(best[1], sample, patterns)
-    return _unexplained(sample, evidence, patterns)
+        # One pitch of three shifts may fit as well without another of its frames.
+        finding = best[1]
+        if finding is None or finding.kind not in _LOSING or sample.layout.counts != [3]:
+            return finding
+        where = sample.layout.slices()[0]
+        if finding.frames[0] < where.start:
+            return finding
+        return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
+    slices, pitches = sample.layout.slices(), sample.layout.pitches
+    unrelated = evidence.unrelated_pitches()
+    for number in range(1, len(slices)):
+        coarse, fine = (float(np.angle(np.mean(sample.growth(each)))) for each in (number - 1, number))
+        seen = sample.layout.pitches[number - 1] * coarse / fine if fine else math.inf
+        if number in unrelated or not pitches[number] / _ALIKE < seen < pitches[number] * _ALIKE:
+            first, coarser = slices[number].start, patterns[slices[number - 1].start]
+            return Finding(FindingKind.UNRELATED_PITCH, True, (first,), (patterns[first],), value=seen, coarser=coarser)
+    worst = int(np.argmax(evidence.residual))
+    if evidence.is_uneven or (evidence.residual[worst] > _NO_SINUSOID and _same_phase(sample, worst)):
+        return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, slices[worst], patterns)
+    if evidence.has_wrong_bits:
+        return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
+    return None
 
 
 def find_contradiction(
@@ -136,32 +166,6 @@ def explanations(count: int) -> Iterator[Explanation]:
         yield Explanation(FindingKind.OTHER_PATTERN, shown, (frame,))
 
 
-def _best(misfit: Misfit, jumps: CodeJumps, recorded: tuple[int, ...]) -> tuple[Explanation, float]:
-    """Return the explanation with the least misfit, and this misfit."""
-    trials = [(misfit.least(each.shown) + _UNKNOWN_FRAME * each.unknown, each) for each in explanations(len(recorded))]
-    found: list[tuple[float, Explanation]] = []
-    least = math.inf
-    for bound, each in sorted(trials, key=lambda trial: trial[0]):
-        if bound > max(_AS_GOOD * least, _FLOOR) or math.isinf(bound):
-            break  # the residuals alone exclude the rest
-        if _deviates(misfit, each):
-            found.append((misfit(each.shown).total + _UNKNOWN_FRAME * each.unknown, each))
-            least = min(least, found[-1][0])
-    equal = [each for each in found if each[0] <= max(_AS_GOOD * least, _FLOOR)]
-    left, best = min(equal, key=lambda each: (jumps(each[1].shown) if jumps.exist else 0, each[0]))
-    return best, left
-
-
-def _of_three_shifts(found: Finding | None, sample: Sample, patterns: Sequence[ProjectedPattern]) -> Finding | None:
-    """Return the finding without its frame where one pitch of three shifts fits as well without another one."""
-    if found is None or found.kind not in _LOSING or sample.layout.counts != [3]:
-        return found
-    where = sample.layout.slices()[0]
-    if found.frames[0] < where.start:
-        return found
-    return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
-
-
 def _best_lag(misfit: Misfit, sample: Sample) -> Finding:
     """Return the share of the pattern before in every frame that fits best."""
 
@@ -193,29 +197,7 @@ def _interchanged_bits(jumps: CodeJumps, bits: int, recorded: tuple[int, ...]) -
     return best if jumps(best.shown) < _FEWER_JUMPS * jumps(recorded) else None
 
 
-def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[ProjectedPattern]) -> Finding | None:
-    slices, pitches = sample.layout.slices(), sample.layout.pitches
-    unrelated = evidence.unrelated_pitches()
-    for number in range(1, len(slices)):
-        seen = _seen_pitch(sample, number)
-        if number in unrelated or not pitches[number] / _ALIKE < seen < pitches[number] * _ALIKE:
-            first, coarser = slices[number].start, patterns[slices[number - 1].start]
-            return Finding(FindingKind.UNRELATED_PITCH, True, (first,), (patterns[first],), value=seen, coarser=coarser)
-    worst = int(np.argmax(evidence.residual))
-    if evidence.is_uneven or (evidence.residual[worst] > _NO_SINUSOID and _same_phase(sample, worst)):
-        return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, slices[worst], patterns)
-    if evidence.has_wrong_bits:
-        return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
-    return None
-
-
 def _same_phase(sample: Sample, number: int) -> bool:
     """Return whether all pixels have one phase, as when one frame of a pitch is lit and the others are dark."""
     _, cosine, sine = sample.fits[number]
     return bool(np.abs(np.mean(np.exp(1j * np.arctan2(sine, cosine)))) > _ONE_PHASE)
-
-
-def _seen_pitch(sample: Sample, number: int) -> float:
-    """Return the pitch of fringes in the image if the coarser ones have theirs [projector px], negative if mirrored."""
-    coarse, fine = (float(np.angle(np.mean(sample.growth(each)))) for each in (number - 1, number))
-    return sample.layout.pitches[number - 1] * coarse / fine if fine else math.inf

@@ -11,8 +11,8 @@ from fringedic.errors import ErrorCode, PhaseError
 from fringedic.phase.demodulation import demodulate
 
 SERIES_SHIFTS = 24  # contains every series of 3, 4, 6, 8 and 12 shifts; harmonics below 23 cause no error with it
-_CLASSES = 48  # of the phase: 16 per period of the lowest error, that of three shifts
-_FEWEST_PIXELS = 20  # in each class: the noise of its mean is a fifth of that of a pixel
+_CLASSES = 48  # the lowest error, that of three shifts, has 16 classes of the phase per period
+_FEWEST_PIXELS = 20  # with so many in a class, its mean has a fifth of the noise of a pixel
 
 
 @dataclass(frozen=True)

@@ -21,18 +21,18 @@ from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.sinusoids import fit_wave, remove_harmonics, square_modulation, wave_levels, waves
 
 # The scenes of benchmarks/stack_checks.py fix these limits
-_LARGEST_RESIDUAL = 0.05  # of the fit over the modulation, RMS
-_LARGEST_STEP = 0.15  # of the mean of three frames against the other pitches, over the modulation
+_LARGEST_RESIDUAL = 0.05  # a good fit leaves less than this part of the modulation, RMS
+_LARGEST_STEP = 0.15  # the mean of three frames differs from that of other pitches by less, over the modulation
 _LARGEST_MISMATCH = 0.69  # |1 - exp(i d)| of one pitch and the next, RMS: d = 0.7 rad; without relation 1.4
 _LARGEST_UNEVENNESS = 0.2  # of the only pitch, see _unevenness: 0.04 in good stacks, from 0.33 on with a wrong frame
-_LARGEST_WRONG_BITS = 0.05  # part of the pixels where bits and fringes disagree; a few do at shadows
+_LARGEST_WRONG_BITS = 0.05  # bits and fringes disagree at a few pixels beside shadows
 _LARGEST_CODE_OFFSET = 0.35  # |1 - exp(i d)| of fringes and edges of the code: 20 degrees
-_UNCLEAR_BITS = 0.5  # part of the pixels inside half periods where a bit is neither dark nor bright
-_CERTAIN = 0.3  # standard deviation [rad] of a predicted phase, beyond which a pixel has little weight
-_FEWEST_CERTAIN = 0.02  # part of the pixels: a check of the orders needs as many
-_BOTH_LEVELS = 0.95  # of the range of the fringes: a pixel shows bright and dark bits with this difference
-_REPEATING = 3  # largest denominator of a ratio of pitches that need not be absolute
-_SECOND_HARMONICS = (-0.1, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)  # over the modulation: 0.3 at gamma 2.4
+_UNCLEAR_BITS = 0.5  # a bit is neither dark nor bright at this part of the pixels inside half periods
+_CERTAIN = 0.3  # [rad] a pixel whose predicted phase has a larger standard deviation has little weight
+_FEWEST_CERTAIN = 0.02  # a check of the orders needs this part of the pixels
+_BOTH_LEVELS = 0.95  # bright and dark bits of a pixel differ by this part of the range of its fringes
+_REPEATING = 3  # pitches whose ratio has at most this denominator need not be absolute
+_SECOND_HARMONICS = (-0.1, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)  # are tried, over the modulation: it is 0.3 at gamma 2.4
 _FAR_MORE_EVEN = 0.5
 _HARMONIC_ROUNDS = 6  # a strength c leaves (2 c)^6 of the effect
 _LAG_ROUNDS = 3  # each corrects the first frame of a pitch with the sinusoid of the round before
@@ -181,10 +181,34 @@ class Misfit:
         if any(not math.isfinite(each.residual) for each in found):
             return Evidence((math.inf,), (0.0,), (), 0.0, 0.0, 0.0, ())
         wrong, offset, unclear = self._bits(shown, found[0], share)
+        result = []
+        phase = np.arctan2(found[0].fit[2], found[0].fit[1])
+        for coarse, fine, (wide, narrow) in zip(found, found[1:], pairwise(self._layout.pitches), strict=False):
+            ratio = wide / narrow
+            expected = phase * ratio
+            away = np.arctan2(fine.fit[2], fine.fit[1]) - expected
+            away -= 2 * np.pi * np.round(away / (2 * np.pi))
+            variance = self._noise.variance(fine.fit[0]) * 2
+            spread = variance * (
+                ratio**2 / (coarse.count * square_modulation(coarse.fit))
+                + 1 / (fine.count * square_modulation(fine.fit))
+            )
+            # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
+            part = Fraction(ratio).limit_denominator(_REPEATING)
+            turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
+            weight = 1 / (1 + turns**2 * spread / _CERTAIN**2) ** 2
+            angle = turns * away
+            one, other = _halves(1 - np.exp(1j * angle))
+            weights = np.multiply(*_halves(weight))
+            common = 0.0
+            if weights.mean() >= _FEWEST_CERTAIN:
+                common = math.sqrt(max(float(np.average(np.real(one * np.conj(other)), weights=weights)), 0.0))
+            result.append(common / math.sqrt(turns))
+            phase = expected + away
         return Evidence(
             residual=tuple(each.residual for each in found),
             step=tuple(self._step(number, found) for number in range(len(found))),
-            mismatch=tuple(self._mismatch(found)),
+            mismatch=tuple(result),
             unevenness=_unevenness(found[0].fit) if self._is_even and found[0].count == 3 else 0.0,
             wrong_bits=wrong,
             code_offset=offset,
@@ -261,27 +285,6 @@ class Misfit:
         mean = np.average([each.fit[0] for each in others], axis=0, weights=[each.count for each in others])
         return _common((found[number].fit[0] - mean)[None], found[number].fit)
 
-    def _mismatch(self, found: list[_Wave]) -> list[float]:
-        result = []
-        phase = np.arctan2(found[0].fit[2], found[0].fit[1])
-        for coarse, fine, (wide, narrow) in zip(found, found[1:], pairwise(self._layout.pitches), strict=False):
-            ratio = wide / narrow
-            expected = phase * ratio
-            away = np.arctan2(fine.fit[2], fine.fit[1]) - expected
-            away -= 2 * np.pi * np.round(away / (2 * np.pi))
-            variance = self._noise.variance(fine.fit[0]) * 2
-            spread = variance * (
-                ratio**2 / (coarse.count * square_modulation(coarse.fit))
-                + 1 / (fine.count * square_modulation(fine.fit))
-            )
-            # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
-            part = Fraction(ratio).limit_denominator(_REPEATING)
-            turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
-            weight = 1 / (1 + turns**2 * spread / _CERTAIN**2) ** 2
-            result.append(_common_turns(turns * away, weight) / math.sqrt(turns))
-            phase = expected + away
-        return result
-
     def _bits(self, shown: Shown, wave: _Wave, share: float) -> tuple[float, float, tuple[float, ...]]:
         """Return `wrong_bits`, `code_offset` and `unclear_bits` of the evidence, with a share of the pattern before.
 
@@ -295,7 +298,11 @@ class Misfit:
         inside = power * (wave.fit[2] ** 2 > INSIDE**2 * power)
         if wave.different < 3 and inside.sum() < _FEWEST_CERTAIN * power.sum():
             return 1.0, 0.0, ()  # two like frames: any bits would agree with such phases
-        away = _alone((self._levels[: max(at.values()) + 1] - wave.fit[0]) / np.sqrt(power), share)
+        bits = (self._levels[: max(at.values()) + 1] - wave.fit[0]) / np.sqrt(power)
+        away = bits.copy()
+        if share != 0:  # each frame shows a share of the bit before
+            for frame in range(1, len(bits)):
+                away[frame] = (bits[frame] - share * np.sign(away[frame - 1])) / (1 - share)
         twice = [away[[frame, at[shown[frame]]]] > 0 for frame in range(len(away)) if 0 <= shown[frame] < self.bits]
         wrong = max(_average(one != other, inside) for one, other in twice)
         away = away[list(at.values())]
@@ -337,16 +344,6 @@ def _with_harmonic(levels: np.ndarray, angles: np.ndarray, strength: float) -> n
     return fit
 
 
-def _alone(bits: np.ndarray, share: float) -> np.ndarray:
-    """Return the bits (frame, pixel), -1 or 1, without the share of the bit before that each frame shows."""
-    if share == 0:
-        return bits
-    found = bits.copy()
-    for frame in range(1, len(bits)):
-        found[frame] = (bits[frame] - share * np.sign(found[frame - 1])) / (1 - share)
-    return found
-
-
 def _average(condition: np.ndarray, weights: np.ndarray) -> float:
     """Return the part of the weights where a condition holds; 0 without any weight."""
     return float(condition @ weights / max(float(weights.sum()), 1e-6))
@@ -363,15 +360,6 @@ def _common(deviation: np.ndarray, fit: np.ndarray) -> float:
     one, other = _halves(deviation)
     strength = np.multiply(*_halves(np.sqrt(square_modulation(fit)))).sum()
     return math.sqrt(max(float(np.vdot(one, other)) / float(strength), 0.0))
-
-
-def _common_turns(angle: np.ndarray, weight: np.ndarray) -> float:
-    """Return the RMS of |1 - exp(i angle)| that the pixels of a pair have in common; 0 where hardly any is certain."""
-    one, other = _halves(1 - np.exp(1j * angle))
-    weights = np.multiply(*_halves(weight))
-    if weights.mean() < _FEWEST_CERTAIN:
-        return 0.0
-    return math.sqrt(max(float(np.average(np.real(one * np.conj(other)), weights=weights)), 0.0))
 
 
 def _unevenness(fit: np.ndarray) -> float:

@@ -19,12 +19,12 @@ from fringedic.phase.layout import Layout
 from fringedic.phase.sinusoids import fit_wave
 
 # the tests in test_projector_lag.py fix these limits
-_PIXELS = 1000  # enough for one number, which takes many trials
-_FEWEST_FRAMES = 4  # of a pitch: the sinusoid is fitted to all but the first
-_LARGEST_DIFFERENCE = 0.25  # between the shares of two pitches, relative to the share
-_EXPLAINED = 0.6  # part of the first frames' misfit
-_HARMONICS = 0.12  # part of the misfit that harmonics of the response may explain: 0.06 at gamma 2.2
-_ONE_PITCH = 0.1  # smallest share that is accepted from a single pitch
+_PIXELS = 1000  # are enough for one number, which takes many trials
+_FEWEST_FRAMES = 4  # the sinusoid is fitted to all frames of a pitch but the first
+_LARGEST_DIFFERENCE = 0.25  # the shares of two pitches may differ by this part of the share
+_EXPLAINED = 0.6  # a share explains at least this part of the misfit of the first frames
+_HARMONICS = 0.12  # harmonics of the response explain up to this part of the misfit: 0.06 at gamma 2.2
+_ONE_PITCH = 0.1  # a single pitch needs at least this share to be believed
 _WHOLE_FRAME = 0.95  # from this share on the frames are one frame late, which check_order reports
 
 
@@ -107,7 +107,12 @@ def _share(sample: Sample, group: int) -> tuple[float, float]:
     now, angles = sample.groups()[group], sample.angles[group]
     fit = fit_wave(now[1:], angles[1:])
     if group == 0:
-        parts = np.concatenate([now[:1], fit, _last_bit(sample)])
+        # A coarser bit shows how bright and dark a pixel is, which leaves the finest bit alone.
+        code = sample.levels[: sample.layout.code]
+        dark, bright = code.min(axis=0), code.max(axis=0)
+        parts = np.concatenate(
+            [now[:1], fit, np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])]
+        )
     else:
         before = sample.angles[group - 1]
         parts = np.concatenate([now[:1], fit, fit_wave(sample.groups()[group - 1][1:], before[1:])])
@@ -128,13 +133,3 @@ def _alone(angles: np.ndarray, share: float, angle: float) -> np.ndarray:
     """Return the weights of mean, B cos(phi) and B sin(phi), as seen, in the level of the pattern alone at an angle."""
     turned = np.exp(1j * angle) / (1 - share + share * np.exp(-1j * (angles[1] - angles[0])))
     return np.array([1.0, turned.real, turned.imag])
-
-
-def _last_bit(sample: Sample) -> np.ndarray:
-    """Return the grey levels of the finest bit of a Gray code alone, shape (1, pixel).
-
-    A coarser bit shows how bright and dark the pixel is.
-    """
-    code = sample.levels[: sample.layout.code]
-    dark, bright = code.min(axis=0), code.max(axis=0)
-    return np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])

@@ -13,7 +13,7 @@ from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.sinusoids import fit_wave, remove_harmonics, wave_levels
 
 _LEVELS = 8  # brightness classes
-_PIXELS = 2000  # 250 of each class: their median errs by some per cent
+_PIXELS = 2000  # the median of 250 pixels of each class errs by some per cent
 
 
 def estimate_sample_noise(sample: Sample) -> CameraNoise:

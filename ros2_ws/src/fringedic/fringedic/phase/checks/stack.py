@@ -34,15 +34,15 @@ from fringedic.phase.sinusoids import fit_wave
 
 # test_saturated_and_dark_stacks_are_named, test_a_projector_that_stands_still_is_named and
 # test_too_small_images_are_left_alone fix these limits
-_SMALLEST_SIDE = 3  # px of an image: a pixel and its neighbours
-_FEWEST_PIXELS = 200  # for a check of single frames
-_SMALLEST_PART = 0.02  # of the image, with a modulation: less is not a surface
-_LEAST_CONTRAST = 0.03  # modulation over mean of visible fringes
-_DARK = 0.03  # of full scale
-_LEAST_COHERENCE = 0.4  # of the fringes at neighbouring pixels: 0 for noise, 1 for fringes
-_SPARSE = 0.5  # part of the image: where less is usable, more pixels are sampled
-_DENSEST = 8.0  # times as many
-_SAME_AREA = 0.5  # of the pixels with the fringes of one pitch have those of each other pitch, too
+_SMALLEST_SIDE = 3  # [px]: a check needs a pixel and its neighbours
+_FEWEST_PIXELS = 200  # a check of single frames needs so many
+_SMALLEST_PART = 0.02  # a surface has a modulation on at least this part of the image
+_LEAST_CONTRAST = 0.03  # visible fringes have at least this modulation over their mean
+_DARK = 0.03  # a pixel below this part of full scale is dark
+_LEAST_COHERENCE = 0.4  # neighbours along the fringes agree by 0 for noise and 1 for fringes
+_SPARSE = 0.5  # where less of the image is usable, more pixels are sampled
+_DENSEST = 8.0  # at most so many times more pixels are sampled
+_SAME_AREA = 0.5  # this part of the pixels with fringes of one pitch has those of each other pitch, too
 
 
 def check_stack(

@@ -51,12 +51,12 @@ class RecordedMaps:
 
     Parameters
     ----------
-    path
+    path, sensor
         As of `fringedic.open_experiment`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.experiment = open_experiment(path)
+    def __init__(self, path: Path, sensor: str | None = None) -> None:
+        self.experiment = open_experiment(path, sensor=sensor)
         self._lock = threading.Lock()  # the file is read by one thread at a time
         with self._lock:
             self._names = {int(step): self._measured(int(step)) for step in self.experiment.step.values}
@@ -269,6 +269,12 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
 
 
 @functools.cache
+def described_signal(name: str, unit: str, source: str) -> dict[str, Any]:
+    """Return name, unit for people and source of a signal, for the page."""
+    of_people = people_unit(xr.DataArray(name=name, attrs={"units": unit, "quantity": ""}))
+    return {"name": name, "unit": of_people.text, "factor": of_people.factor, "source": source}
+
+
 def described(name: str) -> dict[str, Any]:
     """Return name, meaning, unit for people and standard deviation of a map, for the page.
 

@@ -9,7 +9,7 @@ from typing import Any
 from fringedic.datasets.quantities import MAPS
 from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
-from fringedic.report.page_server.maps import RecordedMaps, described
+from fringedic.report.page_server.maps import RecordedMaps, described, described_signal
 
 
 class RecordedRig:
@@ -19,10 +19,12 @@ class RecordedRig:
     ----------
     path
         A recording or a dataset, as of `fringedic.open_experiment`.
+    sensor
+        Name of the sensor, if there are several.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._maps = RecordedMaps(path)
+    def __init__(self, path: Path, sensor: str | None = None) -> None:
+        self._maps = RecordedMaps(path, sensor)
         source = Path(self.maps.experiment.encoding.get("source", path))
         self._folder = source.absolute().parent
         names = self.maps.names()
@@ -34,6 +36,7 @@ class RecordedRig:
                 "report": (self._folder / "report.html").exists(),
             },
             "steps": [self._step(index, 2 if names[step] else 0) for index, step in enumerate(names)],
+            "signals": [self._signal(name) for name in signal_names(self.maps.experiment)],
             "quantities": [described(name) for name in MAPS if name in measured],
         }
 
@@ -56,6 +59,16 @@ class RecordedRig:
 
     def _step(self, index: int, mapped: int) -> dict[str, Any]:
         one = self.maps.experiment.isel(step=index)
-        names = (*signal_names(one), "valid_fraction", "rms_displacement")
-        scalars = {name: float(one[name]) for name in names if name in one}
-        return {"step": int(one.step), "mapped": mapped, "error": str(one.error.item()), **scalars}
+        scalars = {name: float(one[name]) for name in ("valid_fraction", "rms_displacement") if name in one}
+        signals = {name: float(one[name]) for name in signal_names(one)}
+        return {
+            "step": int(one.step),
+            "mapped": mapped,
+            "error": str(one.error.item()),
+            "signals": signals,
+            **scalars,
+        }
+
+    def _signal(self, name: str) -> dict[str, Any]:
+        attributes = self.maps.experiment[name].attrs
+        return described_signal(name, attributes["units"], attributes.get("source", ""))

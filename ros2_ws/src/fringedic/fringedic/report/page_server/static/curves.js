@@ -1,47 +1,67 @@
-// Curves over the steps of the experiment: force and position, and the other values of each step.
+// Curves over the steps of the experiment: its signals, and the other values of each step.
 
 import { chart } from "./chart.js";
 import { make, options } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
 import { tried } from "./server.js";
-import { listen } from "./stream.js";
+import { latest, listen } from "./stream.js";
 
 const VALUES = {
-  step: ["step", 1], position: ["position [mm]", 1e3], force: ["force [N]", 1],
-  valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
+  step: ["step", 1], valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
   strain: ["strain of the extensometer [µstrain]", 1e6],
 };
-const kept = { x: "position", y: "force" };
+const SIGNAL = "signal ";
+const kept = { x: `${SIGNAL}position`, y: `${SIGNAL}force` };
+
+// The label of an axis, and the value of a step; a signal of another rig, or that has not come, has none.
+function axis(key) {
+  if (!key.startsWith(SIGNAL)) return [VALUES[key][0], (step) => scaled(step[key], VALUES[key][1])];
+  const name = key.slice(SIGNAL.length), signal = (latest("signals") ?? []).find((each) => each.name === name);
+  return [signal ? `${name} [${signal.unit}]` : name, (step) => scaled(step.signals?.[name], 1 / (signal?.factor ?? 1))];
+}
+
+const scaled = (value, factor) => (value === null || value === undefined ? NaN : value * factor);
 
 export function show(place) {
-  const choice = (axis) => {
-    const select = make("select", { id: `curve-${axis}`, onchange: () => { kept[axis] = select.value; paint(); } });
-    options(select, Object.entries(VALUES).map(([key, [label]]) => [key, label]), kept[axis]);
+  const choice = (name) => {
+    const select = make("select", { id: `curve-${name}`, onchange: () => { kept[name] = select.value; paint(); } });
     return select;
+  };
+  const choices = { x: choice("x"), y: choice("y") };
+  let known = "";
+  const offer = (signals) => {
+    const names = JSON.stringify(signals.map(({ name, unit, source }) => [name, unit, source]));
+    if (names === known) return; // values alone have changed: a list that a person has opened stays
+    known = names;
+    const offered = signals.map(({ name, unit, source }) => [SIGNAL + name, `${name} [${unit}]${source && ` (${source})`}`]);
+    for (const [name, select] of Object.entries(choices)) {
+      options(select, [...offered, ...Object.entries(VALUES).map(([key, [label]]) => [key, label])], kept[name]);
+    }
   };
   const drawn = make("div"), table = make("table");
   const hint = make("p", { class: "soft" }, "Place an extensometer on a map to see its strain here.");
   let steps = [];
   const paint = () => {
-    const [[x, across], [y, up]] = [VALUES[kept.x], VALUES[kept.y]];
-    const value = (step, name, factor) => step[name] === null || step[name] === undefined ? NaN : step[name] * factor;
-    const sigma = (step) => (kept.y === "strain" ? value(step, "sigma_strain", up) : 0);
-    drawn.replaceChildren(chart(steps.map((step) => [value(step, kept.x, across), value(step, kept.y, up), sigma(step)]), { x, y }));
+    const [[x, across], [y, up]] = [axis(kept.x), axis(kept.y)];
+    const sigma = (step) => (kept.y === "strain" ? scaled(step.sigma_strain, VALUES.strain[1]) : 0);
+    drawn.replaceChildren(chart(steps.map((step) => [across(step), up(step), sigma(step)]), { x, y }));
     hint.hidden = ![kept.x, kept.y].includes("strain") || extensometer.points.length === 2;
     table.replaceChildren(make("tr", {}, make("th", {}, x), make("th", {}, y)),
-      ...steps.map((step) => make("tr", {}, ...[[kept.x, across], [kept.y, up]].map(([name, factor]) => make("td", {}, cell(value(step, name, factor)))))));
+      ...steps.map((step) => make("tr", {}, ...[across, up].map((value) => make("td", {}, cell(value(step)))))));
   };
   place.replaceChildren(make("section", { class: "panel" },
-    make("div", { class: "row" }, make("label", {}, "Across", choice("x")), make("label", {}, "Up", choice("y"))), drawn, hint,
+    make("div", { class: "row" }, make("label", {}, "Across", choices.x), make("label", {}, "Up", choices.y)), drawn, hint,
     make("details", {}, make("summary", {}, "Values"), make("div", { class: "scroll" }, table))));
-  return listen("steps", async (found) => {
+  offer([]);
+  const ends = [listen("signals", (signals) => { offer(signals); paint(); }), listen("steps", async (found) => {
     steps = found;
     paint();
     const readings = found.some((step) => step.mapped === 2) ? (await tried(strains())) ?? [] : [];
     if (steps !== found) return; // newer steps have arrived meanwhile
     steps = found.map((step) => ({ ...step, ...readings.find((each) => each.step === step.step) }));
     paint();
-  });
+  })];
+  return () => ends.forEach((end) => end());
 }
 
 const cell = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "–");

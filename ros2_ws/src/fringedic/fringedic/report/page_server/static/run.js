@@ -14,7 +14,7 @@ export function show(place) {
     make("section", {}, start, procedure.element, make("div", { class: "panel scroll" }, table)),
     make("section", {}, facts, image.element)));
   const paint = () => { repaint(start, ...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
-  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "recorder", "hand", "nodes"].map((topic) => listen(topic, paint))];
+  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "signals", "recorder", "hand", "nodes"].map((topic) => listen(topic, paint))];
   return () => ends.forEach((end) => end());
 }
 
@@ -78,16 +78,17 @@ function rows() {
 const stage = ({ activity, frame, frames }) => (frames ? `${activity}, frame ${frame} of ${frames}` : activity);
 
 function row(name, target, done, words, now) {
-  const value = (key, factor) => number(done?.[key] === undefined || done[key] === null ? NaN : done[key] * factor, 4);
+  const value = (found, factor) => number(found === undefined || found === null ? NaN : found * factor, 4);
   return make("tr", { class: now ? "now" : "" }, make("td", {}, String(name)), make("td", {}, number(target ?? NaN, 4)),
-    make("td", {}, value("position", 1e3)), make("td", {}, value("force", 1)), make("td", {}, value("valid_fraction", 100)),
+    make("td", {}, value(done?.signals?.position, 1e3)), make("td", {}, value(done?.signals?.force, 1)), make("td", {}, value(done?.valid_fraction, 100)),
     make("td", { class: `words ${done?.error ? STATES.failed : done ? STATES.measured : ""}` }, words));
 }
 
 function factList() {
   const load = latest("load"), recorder = latest("recorder"), rig = latest("rig") ?? {}, step = latest("step");
   const entries = [
-    ["machine", load ? `${load.mode}, ${number(load.force, 4)} N, ${number(1e3 * load.position, 4)} mm` : "not connected"],
+    ["machine", load ? load.mode : "not connected"],
+    ["signals", (latest("signals") ?? []).map(({ name, value, factor, unit }) => `${name} ${number(value / factor, 4)} ${unit}`).join(", ") || "none"],
     ["step", step ? `${step.step}: ${step.stage}${step.frames ? `, frame ${step.frame} of ${step.frames}` : ""}` : "none yet"],
     ["recorder", recorder ? `${recorder.state}, ${recorder.images} images, ${recorder.missing_images} lost${recorder.error ? `: ${recorder.error}` : ""}` : "not connected"],
     ["disk", recorder?.free_gb ? `${recorder.free_gb} GB free${recorder.minutes_left === null ? "" : `, for ${recorder.minutes_left} minutes`}` : "–"],

@@ -10,10 +10,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import RecordingError
 from fringedic.frames.clocks import ClockEstimate
-from fringedic.recording.clocks import recorded_clocks
 from fringedic.recording.sentences import clock_sentences
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
+from fringedic.signals.clocks import recorded_clocks
 
 DRIFT = "fringedic_msgs/msg/ClockDrift"
 STAMP, HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"

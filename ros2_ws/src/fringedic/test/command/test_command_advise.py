@@ -37,7 +37,12 @@ def test_the_report_is_printed(files: list[str]) -> None:
     assert report["image noise"].startswith(("1.9", "2.0"))
     # 8 bits add 1/12 to the variance of the noise.
     assert float(report["displacement, spatial"].split()[0]) == pytest.approx(0.006, rel=0.2)
-    window, spacing = (int(report[name].split()[0]) for name in ("subset size", "step size"))
+    window, spacing = (
+        int(report[name].split()[0]) for name in ("window (width of the subset)", "spacing (of the points)")
+    )
+    strain_window = 6 * spacing + 1
+    assert report["strain window"] == f"{strain_window} px (7 points)"
+    assert report["with them"].endswith(f"--window {window} --spacing {spacing} --strain-window {strain_window}")
     assert report["virtual strain gauge"].startswith(
         f"{6 * spacing + window} px ({0.05 * (6 * spacing + window):.3g} mm)"
     )

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from fringedic.command import main
 from fringedic.errors import CampaignError, ConfigurationError
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
 
 def command(*words: str) -> tuple[int, str]:
@@ -36,7 +36,7 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     cut.write_bytes(whole[:-9])
     code, said = command("plan", str(folder))
     assert code == 1
-    assert "1 recording, about 3 steps" in said
+    assert "1 of 2 recordings, about 3 steps" in said
     assert "plate-2: bag_0.mcap has no index" in said
     with pytest.raises(CampaignError, match=r"--shard 3/2: write I/N"):
         command("run", str(folder), "--shard", "3/2")

@@ -13,7 +13,7 @@ from fringedic.recording import BagReader, join
 from fringedic.recording.writer import Split
 from fringedic.wording.numbers import grouped
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from fringedic.command.main import app
 from fringedic.recording.reader import BagReader
 from fringedic.recording.writer import BagWriter
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
 
 @pytest.fixture

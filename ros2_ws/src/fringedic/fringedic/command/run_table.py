@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.markup import escape
 from rich.table import Table
 
-from fringedic_bringup.procedures.outcome import RunReport
+from fringedic.command.outcome import RunReport
 
 
 def report_table(report: RunReport) -> Table:

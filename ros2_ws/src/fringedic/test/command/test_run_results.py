@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
-from fringedic.command.progress import report_table
-from fringedic.datasets import process_bag
-from fringedic_bringup.procedures.outcome import RunReport, StepReport
-from fringedic_bringup.procedures.run import write_results
+from fringedic.command.outcome import RunReport, StepReport
+from fringedic.command.run_results import write_results
+from fringedic.command.run_table import report_table
+from fringedic.datasets import open_experiment, process_bag
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 STEPS = 3
 
 
@@ -28,7 +28,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
     xr.Dataset({"u": (("step", "row"), np.zeros((STEPS, 5000)))}).to_netcdf(folder / "truth.nc", engine="h5netcdf")
     data = (folder / "truth.nc").read_bytes()
     (folder / "truth.nc").write_bytes(data[: len(data) * 6 // 10])
-    return write_results("tiny", folder, [StepReport(step, position=1e-4 * step) for step in range(STEPS)])
+    return write_results("tiny", folder, [StepReport(step, 1e-4 * step, force=-1e6) for step in range(STEPS)])
 
 
 def test_results_are_written(written: RunReport) -> None:
@@ -37,6 +37,13 @@ def test_results_are_written(written: RunReport) -> None:
     assert sorted(path.name for path in written.pictures) == [
         f"step_00{step}{kind}.png" for step in range(STEPS) for kind in ("", "_sigma", "_strain")
     ]
+
+
+def test_the_table_has_the_force_of_the_dataset(written: RunReport) -> None:
+    """The nodes give the reading of the load cell, without sign and tare of the specimen."""
+    with open_experiment(written.folder / "results.nc") as dataset:
+        assert [step.force for step in written.steps] == dataset.force.values.tolist()
+        assert abs(dataset.force.values[-1]) < 1e4
 
 
 def test_reason_is_in_the_table_and_in_the_report(written: RunReport) -> None:

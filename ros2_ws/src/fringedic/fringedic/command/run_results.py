@@ -1,0 +1,101 @@
+"""Results of a programme from its recording: dataset, pictures and report, and what they add to the steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import xarray as xr
+
+from fringedic.command.outcome import RunReport, StepReport
+from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
+from fringedic.datasets.opening import RESULTS
+from fringedic.datasets.sentences import confirmation_sentence
+from fringedic.errors import DatasetError
+from fringedic.evaluation import compare_with_truth, open_truth
+from fringedic.evaluation.truth import TRUTH
+from fringedic.figures.maps import save_pictures
+from fringedic.frames.sensor import file_of
+from fringedic.recording.frames import frame_losses
+from fringedic.recording.reader import BagReader
+from fringedic.report import write_report
+from fringedic.signals import FORCE
+
+Reconstruct = Callable[[xr.DataArray], xr.Dataset]
+
+
+def write_results(
+    experiment: str,
+    folder: Path,
+    steps: list[StepReport],
+    *,
+    exact: Reconstruct | None = None,
+    measure_again: Sequence[int] = (),
+) -> RunReport:
+    """Write dataset, pictures and report of a recording; add lost frames, force and errors to the steps.
+
+    Parameters
+    ----------
+    measure_again
+        Reference steps for a new measurement of all steps from the recorded frames; empty: the nodes' results.
+    exact
+        Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
+        the errors of these heights are added as ``z_exact``.
+    """
+    bag = folder / "bag"
+    recorded = BagReader(bag)
+    if not recorded.find_optional("camera/exposure"):
+        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
+    target = file_of(folder / f"{RESULTS}.nc", recorded.sensor)
+    losses = frame_losses(recorded)
+    for report in steps:
+        report.dropped, report.missing = losses.get(report.step, (0, 0))
+    try:
+        if measure_again:
+            process_bag(bag, output=target, experiment=experiment, reference=measure_again, overwrite=True)
+        elif recorded.find_optional("phase/status"):
+            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
+        else:
+            process_bag(bag, output=target, experiment=experiment, overwrite=True)
+    except DatasetError as error:
+        return RunReport(experiment, folder, steps, [], unmeasured=str(error))
+    with open_experiment(target) as dataset:
+        pictures, errors, no_errors = _compare(dataset, folder, exact)
+        for report in steps:
+            if report.step in dataset.step:
+                row = dataset.sel(step=report.step)
+                report.force = float(row[FORCE.name])  # with sign and tare of the specimen, unlike that of the nodes
+                if measure_again:  # the nodes measured against another reference
+                    report.rms_displacement = float(row.rms_displacement)
+        verdict = confirmation_sentence(dataset)
+    write_report(target, folder / "report.html", overwrite=True)
+    for report in steps:
+        report.errors = errors.get(report.step, {})
+    return RunReport(experiment, folder, steps, pictures, target.name, no_errors=no_errors, verdict=verdict)
+
+
+def _compare(
+    dataset: xr.Dataset, folder: Path, exact: Reconstruct | None
+) -> tuple[list[Path], dict[int, dict[str, float]], str]:
+    """Draw the steps; return pictures, errors of each step, and why there are none although there is a truth."""
+    if not (folder / TRUTH).exists():
+        return save_pictures(dataset, folder), {}, ""
+    try:
+        with open_truth(folder) as truth:
+            # failed steps have no truth, nor have those after a restart of the virtual camera
+            is_told = dataset.step.values < truth.sizes.get("step", 0)
+            told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
+            errors = compare_with_truth(told, folder, reconstruct=exact)
+            pictures = save_pictures(told, folder, truth=truth)
+    except DatasetError as error:
+        return save_pictures(dataset, folder), {}, str(error)
+    pictures += save_pictures(untold, folder) if untold.sizes["step"] else []
+    table = errors.drop_vars("measured_fraction")
+    return (
+        pictures,
+        {
+            step: {str(name).removeprefix("error_"): float(column.sel(step=step)) for name, column in table.items()}
+            for step in table.step.values.tolist()
+        },
+        "",
+    )
