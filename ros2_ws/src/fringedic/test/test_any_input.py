@@ -214,9 +214,8 @@ CALLS = {
         "experiment": MEASURED,
         "model": MODEL,
         "steps": [1],
-        "load": "force",
-        "loads": {1: 2.0},
-        "start": "given",
+        "by": "force",
+        "load_table": {1: 2.0},
     },
     fringedic.compare_shape: {"experiment": SHAPED, "model": NOMINAL, "step": 0},
     fringedic.read_model: {

@@ -85,7 +85,7 @@ def _require_size(surface: np.ndarray, model: Model) -> None:
         The sizes differ too much.
     """
     points = surface[:, np.isfinite(surface).all(axis=0)]
-    if not points.size:
+    if not points.size or not np.ptp(points, axis=1).any():  # nothing measured, or one point, which has no size
         return
     seen, size = (
         2 * float(np.linalg.norm(each - each.mean(axis=1, keepdims=True), axis=0).max())

@@ -18,7 +18,7 @@ from fringedic.datasets.attributes import sensor_of
 from fringedic.datasets.opening import open_experiment
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.datasets.stores import SUFFIXES
-from fringedic.errors import CorrelationError, DatasetError, FringedicError
+from fringedic.errors import CorrelationError, DatasetError, FringedicError, RecordingError
 from fringedic.evaluation.noise_floor import check_static_steps, noise_floors
 from fringedic.evaluation.noise_floor import static_steps as steps_at_rest
 from fringedic.evaluation.probes import extensometer
@@ -170,7 +170,7 @@ def _content(
 ) -> dict[str, Any]:
     """Return the values of the template."""
     floors = noise_floors(dataset, static)
-    recording = None if files.recording is None else BagReader(files.recording, sensor=sensor_of(dataset))
+    recording, unreadable = _open_recording(files.recording, sensor_of(dataset))
     exposures = None if recording is None else read_exposures(recording, str(dataset.attrs["experiment"]))
     data = ReportData(dataset, exposures, _advice(dataset, recording, static))
     points = _entered_gauges(data) if gauges is None else gauges
@@ -182,7 +182,7 @@ def _content(
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "simulated": data.simulated,
         "confirmation": confirmation_sentence(dataset),
-        "warnings": warnings(data, static, floors) + failed + unread,
+        "warnings": warnings(data, static, floors) + failed + unread + unreadable,
         "static_steps": static,
         "floors": [noise_floor_row(floor) for floor in floors],
         "noise": data.metadata.noise,
@@ -198,6 +198,16 @@ def _content(
         **_pictures(data, points),
         **_gauge_content(data, strains),
     }
+
+
+def _open_recording(place: Path | None, sensor: str) -> tuple[BagReader | None, list[str]]:
+    """Open the recording beside a dataset, or tell why the page goes without: its results do not depend on it."""
+    if place is None:
+        return None, []
+    try:
+        return BagReader(place, sensor=sensor), []
+    except RecordingError as error:
+        return None, [f"Conditions of the exposures are not listed, the recording cannot be read: {error}."]
 
 
 def _truth(dataset: xr.Dataset, file: Path) -> tuple[list[list[str]], list[str]]:

@@ -520,7 +520,7 @@ def test_files_that_are_no_model_are_refused(tmp_path: Path):
     cases = [
         ("block.vtu", {"unit": "furlong"}, "unit"),
         ("block.vtu", {}, "load of its displacement is unknown"),
-        ("block.vtu", {"loads": [1.0, 2.0]}, "one load for each step"),
+        ("block.vtu", {"loads": [1.0, 2.0]}, "has 1 load step with a displacement, and 2 different loads are given"),
         ("block.vtu", {"loads": [0.0]}, "cannot be interpolated"),
         ("block.vtu", {"loads": [1.0], "displacement": "U"}, "no vectors 'U'"),
         ("two.vtu", {"loads": [1.0]}, "vector fields displacement, velocity"),

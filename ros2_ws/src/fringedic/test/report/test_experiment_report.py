@@ -22,7 +22,7 @@ from fringedic.figures.charts import curve_charts, extensometer_charts
 from fringedic.figures.maps import map_figure
 from fringedic.figures.panels import Panel
 from fringedic.metadata import Metadata
-from fringedic.report import experiment, write_report
+from fringedic.report import write_report
 from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
@@ -160,13 +160,13 @@ def test_steps_that_a_person_names_as_at_rest_are_checked(dataset, path, tmp_pat
     assert check_static_steps(dataset, []) == []
 
 
-def test_steps_at_rest_whose_reference_is_not_in_the_dataset(dataset, tmp_path, monkeypatch):
-    """The recording is there, but the texture of the reference cannot be looked for without its time."""
-    monkeypatch.setattr(experiment, "read_exposures", lambda *_: None)
+def test_steps_at_rest_whose_reference_is_not_in_the_dataset(dataset, tmp_path):
+    """The texture of the reference cannot be looked for, and the recording beside the dataset cannot be read."""
     (tmp_path / "bag").mkdir()
     dataset.sel(step=[1, 2, 3]).to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
     page = write_report(tmp_path / "part.nc", static_steps=[1, 2]).read_text("utf-8")
     assert "<td>w [µm]</td>" in page
+    assert "the recording cannot be read: " in page
 
 
 def test_curves_and_warnings_tell_that_the_reference_changes(dataset):
