@@ -12,7 +12,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -25,10 +25,11 @@ from sensor_msgs.msg import Image
 from system import machine, usage
 
 from fringedic.patterns import render_pattern
+from fringedic.settings.camera import FilesCamera
 from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.environment import private_domain
-from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, rig_graph
+from fringedic_bringup.launch.graph import PROCESSING_NODES, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.run import load_rig
 from fringedic_ros.images import image_message
@@ -50,11 +51,10 @@ class Measured:
 def measure(path: Path, images: Path, folder: Path, steps: int, *, composed: bool) -> Measured:
     """Measure steps; the first, in which kernels are loaded, does not count."""
     rig, _ = load_rig(path, None, None)
-    rig = rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"composed": composed}), "load_frame": None})
+    camera = FilesCamera(files=str(images))
+    nodes = rig.nodes.model_copy(update={"composed": composed})
+    rig = rig.model_copy(update={"camera": camera, "nodes": nodes, "load_frame": None})
     graph = rig_graph(rig, path, folder, experiment="bench")
-    camera = {"source": "files", "files": str(images)}
-    nodes = [replace(node, parameters=camera) if node.name == "camera" else node for node in graph.nodes]
-    graph = Graph(graph.namespace, tuple(nodes))
     with (
         private_domain() as domain,
         RunningGraph(graph, folder / "logs", domain=domain) as running,

@@ -20,8 +20,8 @@ from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import Graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 
-# A virtual rig waits two minutes for a frame; the first one after the first truth needs seconds on a busy computer.
-CAMERA_TIMEOUT = {"experiment": {"camera_timeout_s": 10.0}, "camera": {"timeout_s": 10.0}}
+# A virtual rig waits two minutes for a frame.
+CAMERA_TIMEOUT = {"experiment": {"camera_timeout_s": 4.0}, "camera": {"timeout_s": 4.0}}
 
 
 def part(graph: Graph, names: set[str]) -> Graph:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from pathlib import Path
-from typing import Any
 
 import h5netcdf
 import numpy as np
@@ -45,20 +45,31 @@ class TruthFile:
             file.variables["position"][step] = position
 
     def _create(self, truth: xr.Dataset) -> None:
-        """Write the variables of the reference, without any step."""
-        empty = truth[_of_step(truth)].expand_dims(step=0)
-        file = xr.merge([truth.drop_vars(_of_step(truth)), empty], combine_attrs="drop")
-        file["position"] = ("step", np.empty(0), {"units": "m", "long_name": "crosshead position"})
-        file.attrs = {"reference_position_m": truth.attrs["reference_position_m"]}
-        encoding: dict[str, dict[str, Any]] = {}
-        for name, variable in file.data_vars.items():
-            if variable.ndim > 1:
-                flag = variable.dtype == bool
-                encoding[str(name)] = {"dtype": "i1"} if flag else {"dtype": "f4", "_FillValue": np.float32(np.nan)}
-                if "step" in variable.dims:
-                    encoding[str(name)]["chunksizes"] = (1, *self._rig.shape)
+        """Write the variables of the reference, and those of the steps without any step.
+
+        The first file that xarray writes imports Dask: more than a second of the thread that exposes.
+        """
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        file.to_netcdf(self._path, engine="h5netcdf", encoding=encoding, unlimited_dims=["step"])
+        with h5netcdf.File(self._path, "w") as file:
+            file.dimensions = {"step": None, **truth.sizes}
+            file.attrs["reference_position_m"] = truth.attrs["reference_position_m"]
+            for name, variable in truth.variables.items():
+                if name in _of_step(truth):
+                    self._create_variable(file, name, ("step", *variable.dims), variable.dtype)
+                else:
+                    self._create_variable(file, name, variable.dims, variable.dtype)[...] = variable.values
+            position = file.create_variable("position", ("step",), "f8", fillvalue=np.nan)
+            position.attrs.update(units="m", long_name="crosshead position")
+
+    def _create_variable(
+        self, file: h5netcdf.File, name: Hashable, dimensions: tuple[Hashable, ...], dtype: np.dtype
+    ) -> h5netcdf.Variable:
+        chunks = (1, *self._rig.shape) if "step" in dimensions else None
+        if dtype.kind == "b":
+            return file.create_variable(str(name), dimensions, "i1", chunks=chunks)
+        if dtype.kind == "f":
+            return file.create_variable(str(name), dimensions, "f4", fillvalue=np.float32(np.nan), chunks=chunks)
+        return file.create_variable(str(name), dimensions, dtype)
 
 
 def _of_step(truth: xr.Dataset) -> list[str]:

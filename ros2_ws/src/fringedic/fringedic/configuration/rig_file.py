@@ -142,6 +142,15 @@ class RigFile(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _composed_nodes_are_started(self) -> RigFile:
+        if self.nodes.composed and not self.recording.process:
+            raise ValueError(
+                "nodes.composed: true shares a process among nodes that recording.process: false does not start; "
+                "leave one of them out"
+            )
+        return self
+
     @property
     def topic_namespace(self) -> str:
         """Namespace of the topics: that of the rig, followed by the name of its sensor if it was given one."""

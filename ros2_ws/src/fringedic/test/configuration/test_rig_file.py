@@ -312,6 +312,13 @@ def test_one_image_has_to_be_wanted(tmp_path):
     assert [(each.kind, each.pitch) for each in patterns] == [(PatternKind.GREY, 0.0), (PatternKind.FRINGES, 20.0)]
 
 
+def test_nodes_that_do_not_run_share_no_process(tmp_path):
+    composed = changed(VIRTUAL, "nodes.composed", True)
+    load_rig_file(write(tmp_path, composed))
+    with pytest.raises(ConfigurationError, match=r"nodes\.composed: true .* recording\.process: false"):
+        load_rig_file(write(tmp_path, changed(composed, "recording.process", False)))
+
+
 def test_every_pattern_is_taken_at_every_exposure_time(tmp_path):
     exposed = VIRTUAL.replace("shifts: 5,", "shifts: 5, exposures_ms: [4.0, 16.0],")
     rig, once = (load_rig_file(write(tmp_path, text)) for text in (exposed, VIRTUAL))

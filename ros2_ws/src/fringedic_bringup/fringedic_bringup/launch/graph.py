@@ -134,10 +134,10 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     folder.mkdir(parents=True, exist_ok=True)
     calibration_file = "" if calibration is None else str(file_of(folder / CALIBRATION_FILE, rig.sensor).absolute())
     region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
-    parts = {"phase": _phase(rig), "dic": rig.nodes.dic}
     processing = ProcessingSettings(
+        phase=_phase(rig).model_copy(update=region),
+        dic=rig.nodes.dic.model_copy(update=region),
         coupling=rig.nodes.coupling,
-        **{name: parameters.model_copy(update=region) for name, parameters in parts.items()},
     )
     nodes = [_recorder(rig, folder)]
     if rig.recording.process:
