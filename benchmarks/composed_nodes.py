@@ -15,18 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
 from rclpy.serialization import serialize_message
 from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import Image
-from system import machine, usage
+from system import machine, render_steps, usage
 
-from fringedic.patterns import render_pattern
 from fringedic.settings.camera import FilesCamera
-from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import PROCESSING_NODES, rig_graph
@@ -72,21 +69,6 @@ def measure(path: Path, images: Path, folder: Path, steps: int, *, composed: boo
         statistics.median(result.duration for result in results),
         sum(after[name][1] for name in pids.values()),
     )
-
-
-def render(path: Path, images: Path, steps: int) -> tuple[int, tuple[int, int]]:
-    """Write the frames of the steps; return how many a step has, and their size (row, column)."""
-    rig, programme = load_rig(path, None, None)
-    twin = VirtualRig(rig.virtual_configuration())
-    rows, columns = twin.projector_shape
-    patterns = [render_pattern(pattern, columns, rows) for pattern in rig.patterns()]
-    positions = [step.position or 0.0 for step in programme.load_steps()]
-    images.mkdir(parents=True)
-    for number in range(steps * len(patterns)):
-        step, frame = divmod(number, len(patterns))
-        image = twin.expose(patterns[frame], positions[step % len(positions)], number)
-        cv2.imwrite(str(images / f"{number:04}.pgm"), image)
-    return len(patterns), image.shape
 
 
 def compare(separate: Measured, composed: Measured, title: str) -> Table:
@@ -135,7 +117,7 @@ def main() -> None:
     console.print(f"before: {machine()}", highlight=False)
     with tempfile.TemporaryDirectory(prefix="fringedic-bench-") as folder:
         images = Path(folder) / "images"
-        frames, shape = render(path, images, arguments.steps)
+        frames, shape = render_steps(path, images, arguments.steps)
         separate, composed = (
             measure(path, images, Path(folder) / name, arguments.steps, composed=name == "composed")
             for name in ("separate", "composed")

@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
 from fringedic.recording.reader import BagReader
+from fringedic.settings.camera import FilesCamera
 from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.environment import private_domain
@@ -232,41 +233,46 @@ def stream(seconds: float, folder: Path) -> Table:
     return table
 
 
-def plate_steps(folder: Path) -> Iterator[Table]:
-    """Fringe steps of the shipped plate, with every node but the load frame: as shipped, then at every pixel."""
-    path = Path(get_package_share_directory("fringedic_bringup")) / "config" / "plate.yaml"
+def render_steps(path: Path, images: Path, steps: int) -> tuple[int, tuple[int, int]]:
+    """Write the frames of the steps of a virtual rig; return how many a step has, and their size (row, column)."""
     rig, programme = load_rig(path, None, None)
     twin = VirtualRig(rig.virtual_configuration())
     rows, columns = twin.projector_shape
     patterns = [render_pattern(pattern, columns, rows) for pattern in rig.patterns()]
-    images = folder / "images"
-    images.mkdir(parents=True)
     positions = [step.position or 0.0 for step in programme.load_steps()]
-    for number in range(len(positions) * len(patterns)):
+    images.mkdir(parents=True)
+    for number in range(steps * len(patterns)):
         step, frame = divmod(number, len(patterns))
-        cv2.imwrite(str(images / f"{number:04}.pgm"), twin.expose(patterns[frame], positions[step], number))
+        image = twin.expose(patterns[frame], positions[step % len(positions)], number)
+        cv2.imwrite(str(images / f"{number:04}.pgm"), image)
+    return len(patterns), twin.shape
 
-    camera = {"source": "files", "files": str(images)}
+
+def plate_steps(folder: Path) -> Iterator[Table]:
+    """Fringe steps of the shipped plate, with every node but the load frame: as shipped, then at every pixel."""
+    path = Path(get_package_share_directory("fringedic_bringup")) / "config" / "plate.yaml"
+    rig, programme = load_rig(path, None, None)
+    steps = len(programme.load_steps())
+    images = folder / "images"
+    frames, _ = render_steps(path, images, steps)
     for spacing in (rig.nodes.dic.spacing, 1):
         dic = rig.nodes.dic.model_copy(update={"spacing": spacing})
-        update = {"nodes": rig.nodes.model_copy(update={"dic": dic}), "load_frame": None}
-        chosen = rig.model_copy(update=update)
+        nodes = rig.nodes.model_copy(update={"dic": dic})
+        chosen = rig.model_copy(update={"camera": FilesCamera(files=str(images)), "nodes": nodes, "load_frame": None})
         target = folder / f"spacing_{spacing}"
         graph = rig_graph(chosen, path, target, experiment="bench")
-        nodes = [replace(node, parameters=camera) if node.name == "camera" else node for node in graph.nodes]
-        graph = Graph(graph.namespace, tuple(nodes))
         with (
             private_domain() as domain,
             RunningGraph(graph, target / "logs", domain=domain) as running,
             RigClient(graph.namespace, domain=domain, watch=running.check) as client,
         ):
             client.wait_until_ready(graph.names)
-            results = [client.measure() for _ in positions]
+            results = [client.measure() for _ in range(steps)]
             used = usage(running)
         warm = results[1:]
         clouds = [result.processing_time for result in warm]
-        overheads = [1e3 * (result.duration - result.processing_time) / len(patterns) for result in warm]
-        table = figures(f"Steps of {len(patterns)} frames of {SIZE[1]}x{SIZE[0]}, displacement every {spacing} px")
+        overheads = [1e3 * (result.duration - result.processing_time) / frames for result in warm]
+        table = figures(f"Steps of {frames} frames of {SIZE[1]}x{SIZE[0]}, displacement every {spacing} px")
         table.add_row("last exposure to displacement cloud, median [s]", f"{statistics.median(clouds):.2f}", "")
         extremes = f"{min(clouds):.2f}, {max(clouds):.2f}, {results[0].processing_time:.2f}"
         table.add_row("    fastest, slowest, first [s]", extremes, "")
