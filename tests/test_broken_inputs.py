@@ -93,6 +93,13 @@ def test_recording_without_frames_is_refused(experiment: RunReport, tmp_path: Pa
         replay(target, tmp_path / "replayed", Progress())
 
 
+def test_replay_without_a_known_reference_is_refused(experiment: RunReport, tmp_path: Path) -> None:
+    bag = experiment.folder / "bag"
+    target = copy_topics(bag, tmp_path / "bag", without=["experiment/reference"])
+    with pytest.raises(RecordingError, match=r"which step is the reference .* is not recorded .* --reference STEP"):
+        replay(target, tmp_path / "replayed", Progress())
+
+
 def test_a_replay_whose_recorder_stops_does_not_succeed(experiment: RunReport, tmp_path: Path) -> None:
     """Its summary named all steps as whole, although the new recording ended in the middle."""
     stopping = threading.Event()

@@ -97,13 +97,20 @@ def find_recordings(campaign: Campaign) -> list[Found]:
     missing: dict[str, str] = {}
     for entry in campaign.content.recordings:
         matching = _matching(entry.path, campaign.folder)
-        left_out = {path for pattern in entry.exclude for path in _matching(pattern, campaign.folder)}
-        found = [path for path in matching if path not in left_out]
+        excluded = {pattern: set(_matching(pattern, campaign.folder)) for pattern in entry.exclude}
+        found = [path for path in matching if not any(path in left_out for left_out in excluded.values())]
+        refused = [
+            (pattern, "leaves out none of the entry's recordings ('exclude')")
+            for pattern, left_out in excluded.items()
+            if matching and left_out.isdisjoint(matching)
+        ]
         if not found:
-            place = entry.path if is_remote(entry.path) else str(campaign.folder / entry.path)
             cause = "'exclude' leaves out all recordings" if matching else "there is no recording"
+            refused.append((entry.path, cause))
+        for pattern, cause in refused:
+            place = pattern if is_remote(pattern) else str(campaign.folder / pattern)
             missing[place] = f"{place}: {cause}; correct the entry in the file of the campaign"
-            found = [place]
+            found.append(place)
         for path in found:
             if path in entries:
                 raise CampaignError(

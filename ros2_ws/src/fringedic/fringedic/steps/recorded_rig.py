@@ -121,6 +121,31 @@ def require_calibration(bag: BagReader) -> None:
         )
 
 
+def require_reference(bag: BagReader) -> None:
+    """Raise an error for a recording that does not tell which step its first frames are measured against.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+
+    Raises
+    ------
+    RecordingError
+        No reference step was recorded before the first frame: the first file of the recording is missing.
+    """
+    names = bag.find_optional("camera/exposure", "experiment/reference")
+    for topic, message, _ in bag.messages(names.values()):
+        if topic == names.get("experiment/reference"):
+            return
+        if message.experiment:  # a free run has none
+            break
+    raise RecordingError(
+        f"{bag.path}: which step is the reference of the first frames is not recorded (experiment/reference); put "
+        "all files of the recording into its folder, or give it: --reference STEP"
+    )
+
+
 def missing_settings(bag: BagReader, exposed: Iterable[FrameRecord]) -> list[str]:
     """Return the nodes whose settings a recording should contain and does not: it was split or filtered.
 

@@ -499,7 +499,7 @@ def test_nothing_is_written_outside_a_store(tmp_path: Path, name: str) -> None:
 def test_entries_have_their_own_settings_and_a_missing_one_is_told(tmp_path: Path) -> None:
     copied(tmp_path, *NAMES, "plate-3")
     entries: list[dict[str, object]] = [
-        {"path": "recordings/plate-*", "exclude": ["recordings/plate-[23]"]},
+        {"path": "recordings/plate-*", "exclude": ["recordings/plate-[23]", "recordings/plate-4"]},
         {"path": "recordings/plate-2", "settings": {"dic.window": 24}},
         {"path": "recordings/plat-9"},
     ]
@@ -512,8 +512,10 @@ def test_entries_have_their_own_settings_and_a_missing_one_is_told(tmp_path: Pat
     status = status_of(store, read_plan(store))
     cause = "there is no recording; correct the entry in the file of the campaign"
     assert status_sentences(status) == [
-        "2 of 3 recordings complete, 0 failed, 0 waiting, 1 refused",
+        "2 of 4 recordings complete, 0 failed, 0 waiting, 2 refused",
         f"refused: {tmp_path}/recordings/plat-9: {cause}",
+        f"refused: {tmp_path}/recordings/plate-4: leaves out none of the entry's recordings ('exclude'); correct the "
+        "entry in the file of the campaign",
     ]
     assert run(campaign) == {}
     assert Plan.from_document(json.loads(json.dumps(status.plan.to_document()))) == status.plan

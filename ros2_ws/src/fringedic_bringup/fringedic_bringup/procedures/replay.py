@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from fringedic.command.outcome import Progress
+from fringedic.datasets.sentences import missing_settings_sentence
 from fringedic.datasets.timeline import refuse_repeated_steps
 from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
 from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
-from fringedic.steps.recorded_rig import recorded_setup, require_calibration
+from fringedic.steps.recorded_rig import missing_settings, recorded_setup, require_calibration, require_reference
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.launch.processes import RunningGraph
@@ -67,7 +68,7 @@ def replay(  # noqa: PLR0913 (options of a public function, all by keyword)
     RecordingError
         The recording lacks frames, exposures or steps, or a calibration when none is given; the output contains a
         recording already; or the recorder stopped, such as on a full disk; or it contains several sensors and none is
-        chosen.
+        chosen; or the reference of its first frames is unknown and none is given.
     CalibrationError
         The calibration belongs to another rig, or its lengths contradict each other.
     PatternError
@@ -88,6 +89,8 @@ def replay(  # noqa: PLR0913 (options of a public function, all by keyword)
     else:
         check_calibration(RigModel.from_yaml(calibration), recorded_setup(reader))
     count = _count_steps(reader, set(steps), reference)
+    if reference is None:
+        require_reference(reader)
     refuse_repeated_steps(records(reader), bag)
     graph = replay_graph(reader, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
     with (
@@ -97,6 +100,9 @@ def replay(  # noqa: PLR0913 (options of a public function, all by keyword)
     ):
         running.expect_end("player")
         progress.stage(f"replaying {bag}")
+        missing = missing_settings(reader, records(reader))
+        if missing:
+            progress.note(missing_settings_sentence(missing))
         while running.exit_code("player") is None:
             running.check()
             played.report(_LOOK_EVERY_S)
