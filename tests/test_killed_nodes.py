@@ -31,11 +31,12 @@ VICTIMS = ("experiment", "recorder", "dic")  # nodes with a state in memory
 @pytest.mark.slow
 def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    unnamed, _ = load_rig(CONFIG / "tiny.yaml", None, None)
-    rig = unnamed.model_copy(update={"sensor": "left"})  # nodes that are started again have the name, too
+    path = tmp_path / "left.yaml"
+    path.write_text("sensor: left\n" + (CONFIG / "tiny.yaml").read_text())  # nodes that start again have the name, too
+    rig, _ = load_rig(path, None, None)
     progress = Killer(folder, dict(enumerate(VICTIMS, start=2)))
     programme = Programme.model_validate(PROGRAMME)
-    report = run_experiment(rig, CONFIG / "tiny.yaml", programme, folder, progress)
+    report = run_experiment(rig, path, programme, folder, progress)
     assert [step.error for step in report.steps] == [""] * 4, progress.lines
     positions = np.array([step.position for step in report.steps])
     assert positions == pytest.approx(np.linspace(0, 0.6e-3, 4), abs=1e-8)
