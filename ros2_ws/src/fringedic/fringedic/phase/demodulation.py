@@ -14,8 +14,9 @@ import xarray as xr
 from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.phase.beats import combine_beats
 from fringedic.phase.demodulation_kernel import Limits, Maps, NoiseModel, Shifts, measure_stack
-from fringedic.phase.layout import check_frames, layout_of, pixels, shift_angles
+from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.noise import estimate_noise
 from fringedic.wording.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 
@@ -103,7 +104,9 @@ def absolute_phase(
     """Measure the absolute phase at the finest pitch from all frames of a step.
 
     Every pitch is demodulated (eq. 11). The fringe order comes from the phase of the next coarser pitch (hierarchical
-    temporal unwrapping), or from the bits of a Gray code where the frames begin with one. A pixel is valid where no
+    temporal unwrapping), from the bits of a Gray code where the frames begin with one, or, where the coarsest pitch is
+    less than twice the finest, from the beats of the pitches (`fringedic.phase.beats`): the phase is then that of the
+    position at which all agree, with the noise of their weighted mean. A pixel is valid where no
     frame saturates, where the modulation of every pitch exceeds 5 sqrt(2/N) sigma_I, and where every fringe order is
     more than 5 standard deviations away from the neighbouring one.
 
@@ -166,6 +169,36 @@ def absolute_phase(
     return _measure(frames, patterns, noise, saturation, minimum_modulation)
 
 
+def _measure_beats(
+    frames: np.ndarray,
+    layout: Layout,
+    shifts: Shifts,
+    conditions: tuple[NoiseModel, Limits],
+    maps: Maps,
+    *,
+    known_noise: bool,
+) -> None:
+    """Measure each pitch alone, then the orders from all of them; the maps have the modulation of the finest pitch."""
+    phases, sigmas = (np.empty((len(layout.periods), *maps.phase.shape), np.float32) for _ in range(2))
+    texture = np.zeros_like(maps.texture)
+    measured = np.ones_like(maps.valid)
+    for pitch, where in enumerate(layout.slices()):
+        alone = Shifts(
+            pitch_of=np.zeros(layout.counts[pitch], np.int64),
+            sine=shifts.sine[where],
+            cosine=shifts.cosine[where],
+            frames=shifts.frames[pitch : pitch + 1],
+            ratio=np.ones(1, np.float32),
+        )
+        measure_stack(frames[where], frames[:0], alone, *conditions, maps)
+        phases[pitch], sigmas[pitch] = maps.phase, maps.sigma
+        texture += maps.texture * np.float32(layout.counts[pitch] / sum(layout.counts))
+        measured &= maps.valid
+    phase, sigma = combine_beats(phases, sigmas, layout.pitches, known_noise=known_noise)
+    maps.phase[...], maps.sigma[...], maps.texture[...] = phase, sigma, texture
+    maps.valid[...] = measured & np.isfinite(phase)
+
+
 def _measure(
     frames: np.ndarray,
     patterns: Sequence[ProjectedPattern],
@@ -191,22 +224,21 @@ def _measure(
         of_pixels = np.ascontiguousarray(known, np.float32) ** 2
     elif known is not None:
         camera = CameraNoise(known)
-    measure_stack(
-        frames[layout.code :],
-        frames[: layout.code],
-        Shifts(
-            pitch_of=np.repeat(np.arange(len(pitches)), layout.counts),
-            sine=np.sin(angles).astype(np.float32),
-            cosine=np.cos(angles).astype(np.float32),
-            frames=np.array(layout.counts, np.float32),
-            ratio=np.array(
-                [coarse / fine for coarse, fine in zip(pitches[:1] + pitches, pitches, strict=False)], np.float32
-            ),
+    shifts = Shifts(
+        pitch_of=np.repeat(np.arange(len(pitches)), layout.counts),
+        sine=np.sin(angles).astype(np.float32),
+        cosine=np.cos(angles).astype(np.float32),
+        frames=np.array(layout.counts, np.float32),
+        ratio=np.array(
+            [coarse / fine for coarse, fine in zip(pitches[:1] + pitches, pitches, strict=False)], np.float32
         ),
-        NoiseModel(np.float32(camera.read**2), np.float32(camera.shot), of_pixels),
-        Limits(np.float32(minimum_modulation), np.float32(saturation_level(frames, saturation))),
-        maps,
     )
+    model = NoiseModel(np.float32(camera.read**2), np.float32(camera.shot), of_pixels)
+    limits = Limits(np.float32(minimum_modulation), np.float32(saturation_level(frames, saturation)))
+    if layout.by_beats:
+        _measure_beats(frames, layout, shifts, (model, limits), maps, known_noise=known is not None)
+    else:
+        measure_stack(frames[layout.code :], frames[: layout.code], shifts, model, limits, maps)
     if known is None:
         maps.sigma.fill(np.nan)
     image = ("row", "column")

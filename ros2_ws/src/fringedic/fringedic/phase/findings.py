@@ -23,6 +23,7 @@ class FindingKind(Enum):
     PARTLY_LATE = "every frame shows a part of the pattern before", ErrorCode.WRONG_PATTERN
     OTHER_PATTERN = "one frame does not show its pattern", ErrorCode.WRONG_PATTERN
     UNRELATED_PITCH = "the fringes of a pitch do not continue the coarser ones", ErrorCode.WRONG_PATTERN
+    REPEATING = "no pitch covers the view", ErrorCode.INVALID_SEQUENCE
     UNIDENTIFIED_FRAME = "one frame of a pitch does not show its pattern", ErrorCode.WRONG_PATTERN
     CODE_DISAGREES = "Gray code and fringes disagree", ErrorCode.WRONG_PATTERN
     FLICKER = "the light changes", ErrorCode.FLICKER
@@ -57,7 +58,8 @@ class Finding:
         Size of the effect and the largest one allowed: the part of the image (SATURATED, CODE_DISAGREES) or of the
         pattern before (PARTLY_LATE), the typical grey level (DARK), the error of the phase [fringe] (FLICKER,
         MOTION_ALONG, HARMONICS), the motion [px] (MOTION_ACROSS), the pitch in the image if the coarser one is right
-        [projector px], negative where it grows the wrong way (UNRELATED_PITCH). NaN where there is none.
+        [projector px], negative where it grows the wrong way (UNRELATED_PITCH), the number of the coarsest fringes in
+        view (REPEATING). NaN where there is none.
     light_change
         Range of the light over the frames, relative (FLICKER).
     coarser

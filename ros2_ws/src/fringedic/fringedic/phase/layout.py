@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import groupby, pairwise
 
 import numpy as np
 
 from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+
+_DENOMINATOR = 1000  # pitches are multiples of a thousandth of a pixel
+_LONGEST = 8192.0  # [projector px], wider than the image of any projector
+_ALIKE = 2.0
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,16 @@ class Layout:
     def counts(self) -> list[int]:
         """Number of frames of each pitch."""
         return [len(period) for period in self.periods]
+
+    @property
+    def by_beats(self) -> bool:
+        """Whether the orders come from beats; see `unambiguous_range`."""
+        return not self.code and nearly_alike(self.pitches)
+
+    @property
+    def unambiguous(self) -> float:
+        """Range of the positions whose fringe orders the pitches determine [projector pixel]."""
+        return unambiguous_range(self.pitches)
 
     def slices(self) -> list[slice]:
         """Return the slice of the stack that holds the frames of each pitch."""
@@ -110,6 +126,30 @@ def layout_of(patterns: Sequence[ProjectedPattern]) -> Layout:
                 code=ErrorCode.INVALID_SEQUENCE,
             )
     return Layout(len(code), periods)
+
+
+def nearly_alike(pitches: Sequence[float]) -> bool:
+    """Return whether several pitches differ by less than a factor of two, so that their beats give the orders."""
+    return len(pitches) > 1 and max(pitches) < _ALIKE * min(pitches)
+
+
+def unambiguous_range(pitches: Sequence[float]) -> float:
+    """Return the range of the positions whose fringe orders the pitches determine [projector px].
+
+    It is the coarsest pitch, or, for pitches that are nearly alike, the length after which the phases of all of them
+    repeat: their least common multiple.
+
+    Examples
+    --------
+    >>> unambiguous_range([800.0, 40.0, 8.0]), unambiguous_range([48.0, 45.0, 42.0]), unambiguous_range([21.0, 20.0])
+    (800.0, 5040.0, 420.0)
+    """
+    if not nearly_alike(pitches):
+        return max(pitches)
+    parts = [Fraction(pitch).limit_denominator(_DENOMINATOR) for pitch in pitches]
+    return min(
+        math.lcm(*(part.numerator for part in parts)) / math.gcd(*(part.denominator for part in parts)), _LONGEST
+    )
 
 
 def check_finer(pitches: Sequence[float]) -> None:

@@ -193,8 +193,8 @@ def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: boo
     values = result.phase.values if across else result.phase.values.T
     growth = np.diff(values[:: max(1, len(values) // _LINES)])
     known = np.isfinite(growth)
-    pitch, finest = layout.pitches[0], layout.pitches[-1]
-    turn = 2 * np.pi * pitch / finest  # of the coarsest fringes
+    pitch, finest = layout.unambiguous, layout.pitches[-1]
+    turn = 2 * np.pi * pitch / finest  # of the coarsest fringes, or of the beats
     single = pitch == finest
     jumps = known & (np.abs(growth) > (0.5 if single else _REPETITION) * turn)
     lines = known.any(axis=1)
@@ -202,9 +202,10 @@ def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: boo
         return []
     if not single:
         seen = np.abs(np.nansum(growth - turn * np.round(growth / turn), axis=1)).max() * pitch / turn
+        what = "beats" if layout.by_beats else "coarsest fringes"
         raise PhaseError(
-            f"the coarsest fringes of {pitch:g} px repeat in the view, their order is unknown: show a coarsest pitch "
-            f"of at least {np.ceil(seen):g} px (the width of the projector's image always suffices), or a Gray code",
+            f"the {what} of {pitch:g} px repeat in the view, their order is unknown: show a coarsest pitch of at "
+            f"least {np.ceil(seen):g} px (the width of the projector's image always suffices), or a Gray code",
             code=ErrorCode.INVALID_SEQUENCE,
         )
     if not accept_relative:

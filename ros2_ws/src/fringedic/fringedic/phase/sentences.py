@@ -106,6 +106,11 @@ _WORDS: dict[FindingKind, Callable[[Finding], str]] = {
         f"one, or the frame was taken while the pattern changed, because {_LAG}"
     ),
     FindingKind.UNRELATED_PITCH: _unrelated_pitch,
+    FindingKind.REPEATING: lambda finding: (
+        f"no pitch covers the view: {finding.value:.1f} of the coarsest fringes, of {finding.patterns[0].pitch:g} px, "
+        "are seen, and their order is unknown; show a coarser pitch (the width of the projector's image always "
+        "suffices), pitches that differ by less than a factor of two, or a Gray code"
+    ),
     FindingKind.UNIDENTIFIED_FRAME: _unidentified_frame,
     FindingKind.CODE_DISAGREES: lambda finding: (
         f"Gray code and fringes disagree at {finding.value:.0%} of the image: the projector showed other patterns than "

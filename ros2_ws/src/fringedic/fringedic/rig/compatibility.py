@@ -11,6 +11,7 @@ import numpy as np
 
 from fringedic.errors import CalibrationError, ErrorCode, PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.phase.layout import nearly_alike, unambiguous_range
 from fringedic.rig.geometry import UNKNOWN_FIRST, RigGeometry
 from fringedic.wording.numbers import number_text
 
@@ -207,11 +208,13 @@ def _check_coarsest(calibration: RigGeometry, patterns: Sequence[ProjectedPatter
     has_code = any(each.kind == PatternKind.GRAY_CODE for each in patterns)
     if len(fringes) < 2 or has_code:  # one image gives a relative phase, a code numbers all fringes
         return
-    coarsest = max(each.pitch for each in fringes)
+    pitches = sorted({each.pitch for each in fringes})
+    covered = unambiguous_range(pitches)
     needed = needed_pitch(calibration, fringes[0].orientation)
-    if coarsest < needed:
+    if covered < needed:
+        what = "beats" if nearly_alike(pitches) else "coarsest fringes"
         raise PatternError(
-            f"the coarsest fringes of {coarsest:g} px repeat in the camera's view, their order would be unknown: show "
+            f"the {what} of {covered:g} px repeat in the camera's view, their order would be unknown: show "
             f"a coarsest pitch of at least {math.ceil(needed)} px, or a Gray code",
             code=ErrorCode.INVALID_SEQUENCE,
         )

@@ -21,6 +21,7 @@ from fringedic.correlation.dense import BRIGHTNESS_PASSES, RELAXATIONS
 from fringedic.correlation.window import design_window
 from fringedic.frames.collector import Stack
 from fringedic.models.sampling import sample
+from fringedic.phase.beats import combine_beats
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
@@ -87,6 +88,8 @@ def _phase() -> None:
         for dtype in (np.uint8, np.uint16):
             phase_step(small_stack(dtype, 0), _PHASE)
             phase_step(_twice_exposed(small_stack(dtype, 0)), _PHASE)
+        alike = np.zeros((2, 1, 1), np.float32)
+        combine_beats(alike, alike + 1, (21.0, 20.0), known_noise=True)
 
 
 def _displacement() -> None:

@@ -1,10 +1,13 @@
-"""A coarsest pitch that repeats in the view is refused, because its fringe orders would be wrong without notice."""
+"""Fringe orders without a pitch that covers the view: refused, or from the beats of pitches that are nearly alike."""
 
 import numpy as np
 import pytest
 
-from fringedic.errors import ErrorCode, PhaseError
+from fringedic.errors import ErrorCode, PhaseError, StepError
+from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence
+from fringedic.phase.demodulation import absolute_phase
 from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
 
@@ -40,3 +43,51 @@ def test_fringes_that_cover_the_view_are_measured(step):
         upper = result.phase.values[:6] * 5 / (2 * np.pi) + 99.5
         assert np.nanmax(np.abs(upper - columns)) < 0.5
         assert np.isfinite(upper).mean() > 0.95
+
+
+def shown(pitches, shifts, columns, noise=1.5):
+    """Frames of fringes of these pitches, written down from their formula, on projector columns (row, column)."""
+    patterns = [
+        ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, pitch, shift, shifts)
+        for pitch in pitches
+        for shift in range(1, shifts + 1)
+    ]
+    random = np.random.default_rng(2)
+    grey = [
+        120 + 80 * np.cos(2 * np.pi * (columns - 959.5) / each.pitch - 2 * np.pi * each.shift / each.shifts)
+        for each in patterns
+    ]
+    noisy = np.array(grey) + random.normal(0, noise, (len(grey), *columns.shape))
+    return np.clip(np.rint(noisy), 0, 254).astype(np.uint8), patterns
+
+
+@pytest.mark.parametrize(("pitches", "shifts"), [((48, 45, 42), 12), ((19.2, 18, 17), 4), ((36, 31, 25), 3)])
+def test_pitches_that_are_nearly_alike_are_measured_by_their_beats(pitches, shifts):
+    """A step of 40 columns in the lower half changes no order; sigma is that of the weighted mean of all pitches."""
+    columns = np.tile(80 + 2.2 * np.arange(640), (240, 1))
+    columns[120:, 300:] += 40
+    frames, patterns = shown(pitches, shifts, columns)
+    result, remarks = measure_phase(frames, patterns, PhaseSettings(noise=CameraNoise(np.hypot(1.5, ROUNDING_NOISE))))
+    assert remarks == []
+    error = result.phase.values - 2 * np.pi * (columns - 959.5) / pitches[-1]
+    assert np.isfinite(error).mean() > 0.9999
+    assert np.nanmax(np.abs(error)) < np.pi, "no wrong order"
+    assert np.nanstd(error / result.sigma.values) == pytest.approx(1, abs=0.02)
+    alone = absolute_phase(frames[-shifts:], patterns[-shifts:], noise=1.5).sigma
+    expected = sum((pitches[-1] / pitch) ** 2 for pitch in pitches) ** -0.5
+    assert float(result.sigma.mean() / alone.mean()) == pytest.approx(expected, rel=0.05)
+
+
+def test_beats_that_repeat_in_view_are_refused():
+    frames, patterns = shown((21, 20), 4, np.tile(80 + 2.2 * np.arange(640), (60, 1)))
+    with pytest.raises(PhaseError, match=r"the beats of 420 px repeat in the view.*at least 1[34]"):
+        measure_phase(frames, patterns)
+
+
+@pytest.mark.parametrize("pitches", [(300, 70, 17), (900, 400, 31)])
+def test_a_sequence_without_a_pitch_that_covers_the_view_is_refused_for_that_reason(pitches):
+    """The phases of its pitches contradict each other; no frame is wrong, and no delay explains it."""
+    frames, patterns = shown(pitches, 8, np.tile(80 + 2.2 * np.arange(640), (60, 1)))
+    with pytest.raises(StepError, match=r"^no pitch covers the view: .* of the coarsest fringes") as refused:
+        measure_phase(frames, patterns)
+    assert refused.value.code is ErrorCode.INVALID_SEQUENCE

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -35,6 +35,7 @@ _LAGS = (0.08, 0.95)  # these parts of the pattern before leave a misfit and are
 _FEWER_JUMPS = 0.5  # the right order of the bits leaves at most this part of the jumps
 _NO_SINUSOID = 0.15  # no explanation fits frames whose RMS residual exceeds this part of the modulation
 _ALIKE = 2.0  # a pitch that is seen so many times smaller or larger shows another pattern
+_REPEATED = 1.25  # so many of the coarsest fringes in view are more than one that covers it
 _ONE_PHASE = 0.95  # |mean of exp(i phi)| exceeds this for one phase; fringes over a third of a pitch have 0.83
 _SMALLEST_DEVIATION = 0.5  # a wrong frame deviates from its pattern by this part of the deviation of the pattern before
 
@@ -84,6 +85,9 @@ def check_order(
     if evidence.is_small:
         swapped = _interchanged_bits(jumps, sample.layout.code, recorded) if jumps.are_suspicious else None
         return None if swapped is None else _finding(swapped, patterns)
+    repeating = _find_repeating(sample, evidence, patterns)
+    if repeating is not None:
+        return repeating
     few = sample.thin(_PIXELS)
     misfit = Misfit(few, noise)
     trials = [(misfit.least(each.shown) + _UNKNOWN_FRAME * each.unknown, each) for each in explanations(len(recorded))]
@@ -128,6 +132,23 @@ def check_order(
     if evidence.has_wrong_bits:
         return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
     return None
+
+
+def _find_repeating(sample: Sample, evidence: Evidence, patterns: Sequence[ProjectedPattern]) -> Finding | None:
+    """Return that no pitch covers the view, where every pitch fits alone and all are seen in their proportions."""
+    pitches = sample.layout.pitches
+    if not replace(evidence, mismatch=()).is_small or sample.layout.code or len(pitches) == 1:
+        return None
+    growth = [float(np.angle(np.mean(sample.growth(number)))) for number in range(len(pitches))]
+    lengths = [turn * pitch for turn, pitch in zip(growth, pitches, strict=True)]
+    if min(np.sign(lengths[0]) * each for each in lengths) < max(map(abs, lengths)) / _ALIKE:
+        return None
+    place, length = (sample.x, sample.size[1]) if sample.is_vertical else (sample.y, sample.size[0])
+    # the growth is that over two pixels
+    fringes = abs(growth[0]) / (2 * np.pi) * 0.5 * length * 0.5 * float(np.ptp(place))
+    if fringes < _REPEATED:
+        return None
+    return Finding(FindingKind.REPEATING, True, (), (patterns[0],), value=fringes)
 
 
 def find_contradiction(

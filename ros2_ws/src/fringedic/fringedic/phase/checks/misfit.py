@@ -208,7 +208,7 @@ class Misfit:
         return Evidence(
             residual=tuple(each.residual for each in found),
             step=tuple(self._step(number, found) for number in range(len(found))),
-            mismatch=tuple(result),
+            mismatch=(0.0,) * len(result) if self._layout.by_beats else tuple(result),  # no pitch predicts another
             unevenness=_unevenness(found[0].fit) if self._is_even and found[0].count == 3 else 0.0,
             wrong_bits=wrong,
             code_offset=offset,
