@@ -456,8 +456,7 @@ the projector are parameters as well:*
 {times[CALIBRATION_ROW]}
 {times[SHAPE_ROW]}
 
-The error of x, y or z by a calibration is nearly constant over the sphere. The number of independent errors of a
-z-score is therefore the number of rigs, and its scatter is 1 / sqrt(2 rigs).
+The error by a calibration is nearly constant over the sphere: the scatter of a z-score is 1 / sqrt(2 rigs).
 
 ![Errors of z of both models, z-scores](calibration.png)
 

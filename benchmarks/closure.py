@@ -131,7 +131,7 @@ deviations. Wrong: the error against the truth is more than {WRONG:g} sigma. Tim
 The noise alone of two closures would leave 99.5 %. Skin misses the target: its closures contain errors beside noise, as
 does its displacement (z-scores of 1.09 and 1.16), because the flanks of furrows turn against the light. The target for
 wrong points (< 1 % missed) is not reached for the few points that are wrong without an injected error: at most of them
-the images agree with the measured displacement, so that this check cannot distinguish them from right ones.
+the images agree with the measured displacement.
 The noise is the median over the image: where more than half of all points are wrong, the check is no longer reliable.
 
 Injected errors: {PATCHES} patches of {PATCH}x{PATCH} points, displaced to the right. Part of the wrong points that the
@@ -150,11 +150,9 @@ but one.
 |---|---:|---:|---:|---:|---:|
 {phases}
 
-The coarser pitch has less resolution: in finest fringes the standard deviation of the closure is that of the coarser
-phase times the ratio of the pitches, here four. It finds wrong orders, not small errors of the finest phase.
+This check finds wrong orders, not small errors of the finest phase.
 
-The checks run when recordings are processed or images measured. After `fringedic run` they check the displacement of
-each step; the check of the phase needs the frames, hence `fringedic process`.
+When the checks run: [results](../results.md#the-dataset).
 """
     )
 

@@ -309,9 +309,8 @@ filters were applied to the exact displacement, with the measured noise:
 
 {HEADER}{table(exact, 1)}
 
-The ideal low-pass, which rings, has less noise, but loses more of its resolution on the star. With this texture the
-target of 0.295 px² lies below its own figure. A sharper T was tried
-([decision 0008](../decisions/0008-an-own-interpolation-kernel.md)).
+The ideal low-pass, which rings, has less noise, but loses more of its resolution on the star
+([decision 0008](../decisions/0008-an-own-interpolation-kernel.md)). The target of 0.295 px² lies below its figure.
 
 ## Strain: replica of Star 6
 
@@ -326,8 +325,7 @@ images at rest. The strain window is that of `fringedic.surface.flat_strain`, at
 
 {HEADER}{table(sixes[own], 2)}
 
-A plane fit over a few pixels hardly smooths: the transfer of the displacement alone then determines resolution and
-noise of the strain. For a strain with less noise, widen the window of the displacement rather than that of the strain.
+For a strain with less noise, widen the window of the displacement rather than that of the strain.
 """
     )
 

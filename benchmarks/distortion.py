@@ -385,18 +385,15 @@ def write_page(
     degrees through the same lens, with the same noise, corners by `findChessboardCornersSB`, in the same run:*"""
     below = """
     Arrows and colours have a different scale in each picture. The cross-validation contains the scatter of the left-out
-    points; the error against the ground truth does not. Both curves therefore have their minimum at the same order,
-    but not at the same value."""
+    points; the error against the ground truth does not."""
     predicted = """
-    The prediction is the standard deviation of all terms of the polynomials. A homography removes eight of them, so
-    that the remaining distortion is slightly smaller. A coarse grid has fewer points of equal noise, and windows as
-    wide as four of its periods."""
+    The prediction contains the eight terms that a homography removes, so that the remaining distortion is
+    slightly smaller."""
     few = f"""
     *The same field on {SMALL[0]} x {SMALL[1]} px, Brown lens, mean of 8 frames, lines blurred by {SMALL_BLUR} px:*"""
     aliases = """
-    Aliased harmonics vary more slowly on a small image, so that the polynomials follow them; noise is less important. A
-    larger angle of the grid increases their frequency. A grid with a too small angle is refused or causes a warning,
-    and the message states the required angle."""
+    Aliased harmonics vary more slowly on a small image, so that the polynomials follow them. A larger angle of the grid
+    increases their frequency; the warning states the required angle."""
     place = f"""
     One image of the grid cannot separate a tilted camera from a decentred lens. Two more images on the plane, tilted by
     {" and ".join(f"{degrees:+g}" for degrees in TURNED)} degree, can."""

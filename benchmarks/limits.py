@@ -185,8 +185,7 @@ The bound is that of mean, modulation and phase of each pixel from the q frames 
 |---:|---:|---:|---:|
 {phase}
 
-With the same noise in all frames, phase stepping reaches the bound. With shot noise, bright frames would deserve less
-weight; equal weights cost what the table shows.
+With shot noise, bright frames would deserve less weight; equal weights cost what the table shows.
 
 ## Dark speckles
 
@@ -210,11 +209,10 @@ The 12 frames of the coarse pitches contain as much about the height as 0.27 fra
 Raw w: difference of the heights of two stacks at rest, without a filter. "From the median": the median of its absolute
 value over 0.6745, the noise of the usual point. Measured: points whose order is sure by 5 standard deviations.
 
-- **Shifts.** Coarse pitches only have to give the order: 3 shifts are enough, and their frames go to the finest pitch.
+- **Shifts.** Coarse pitches only have to give the order: 3 shifts are enough.
 - **Pitch.** The noise of the height is proportional to the pitch as long as projector and lens keep the contrast:
   `fringedic plan` predicts it.
 - **Fewer pitches** leave dark speckles without a sure order.
-- **Exposures.** Two exposures help dark points and take frames from the light ones.
 - **Paint.** Grey speckles gain as much as the finer pitch without any change of the sequence: keep their reflectance
   above a third of that of the ground. The displacement has less contrast then.
 

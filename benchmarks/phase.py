@@ -427,16 +427,11 @@ unwrapping of OpenCV is part of its contributed modules.
 
 ## Remarks
 
-- **Relative orders.** Orders from a single pitch (spatial unwrapping, one image) are relative: correct up to one
-  number of whole fringes. The part that a shadow separates from the largest region is not measured (white in the
-  picture). OpenCV assigns orders to it, and they are wrong.
+- **Relative orders.** Orders from a single pitch ([relative](../nodes/phase.md#sequences-of-a-step)): the part that a
+  shadow separates from the largest region is not measured. OpenCV assigns orders to it, and they are wrong.
 - **Speckle.** The median pixel is darker than the bright paint that determines the exposure. More frames of the
-  finest pitch reduce the noise as 1 / sqrt(q). A weighted merge of the coarser pitches has hardly any effect,
-  because their sensitivity to height is much smaller: a pitch of 40 px with q = 4 corresponds to 4 / 16 of a frame,
-  added to 8. The measured reduction is 2 %.
-- **Response.** Pre-compensated patterns correct the response. The remaining error is the 8-bit quantisation of the
-  projector.
-- **Exposures.** Exposures are merged at each pixel, so that noise and sigma are those of the best exposures there.
+  finest pitch reduce the noise as 1 / sqrt(q); a weighted merge of the coarser pitches reduces it by 2 %.
+- **Response.** The remaining error is the 8-bit quantisation of the projector.
 - **One image.** The error increases towards the border of the image, where half of the window is missing. On smooth
   surfaces without texture the error is the curvature inside the window, which sigma does not contain.
 """

@@ -123,12 +123,9 @@ deviations. Noise: second differences along the fringes on the wall.*
 
 ![Texture, column on the projector, standard deviation and closure](real_fringes.png)
 
-- **Orders.** A fringe of 100 px and a block of the code begin at the same place, so that neither alone gives
-  the order there. The beat of both pitches has a period of two blocks; the code gives its order, and it gives
-  those of both pitches.
-- **Response.** The projector is not linear (harmonic error as of gamma 2.4 with three shifts). The correction
-  reduces the closure between the pitches three to four times. What remains are higher harmonics and light that
-  the sponges scatter.
+- **Orders** come from the beat of both pitches, whose own order the code gives.
+- **Response.** The projector is not linear (harmonic error as of gamma 2.4 with three shifts). Higher harmonics
+  and light that the sponges scatter remain after the correction.
 - **Both directions.** Column and row on the projector of {distances[1][0]} points obey one fundamental matrix
   to {distances[0][1]:.2f} projector px (median-based), to {distances[1][1]:.2f} px after the correction; lens
   distortion is part of it.

@@ -283,16 +283,13 @@ right, and the number of the frame where a single frame is the cause.
 
 ## Conditions
 
-- **Three shifts.** They leave no redundant equation. Flicker and motion are then not detected, nor with fewer
-  than five of the finest fringes in view. Of a single pitch with three shifts the wrong frame is not identified.
+- **Three shifts.** Flicker and motion are not detected, nor with fewer than five of the finest fringes in view.
 - **Motion across the image** is visible on a texture only; the injected one has a contrast of 5 % or more. With 4
   shifts, a motion of 0.3 px may not be significant on a faint texture of wide spots.
 - **Motion along the light** by a whole shift looks like a frame too many or too few. The injected one is less than half
   a shift.
-- **One frame with another pattern** is named as such when it deviates from its own pattern by half the difference of
-  two successive shifts or more. What deviates less is attributed to the light or to a motion.
-- **A bent response** is fitted with the frames: without its second harmonic a jump in the middle of four shifts, and a
-  wrong frame of four, are not recognised.
+- **One frame with another pattern** is named when it deviates by half the difference of two successive shifts or more.
+  A smaller deviation is attributed to the light or to a motion.
 - **A part of the pattern before** above 50 % may be reported as "late by one frame". Both have the same cause.
 """
     )
