@@ -35,7 +35,7 @@ EXECUTABLES = {
     "dic_node": ["dic", "extensometer"],
     "experiment_node": ["experiment"],
     "fringe_projector_node": ["projector"],
-    "fringedic_bringup": ["fringedic"],
+    "fringedic_bringup": ["fringedic", "processing"],
     "load_frame_node": ["load_frame", "stage"],
     "operator_node": ["operator"],
     "phase_node": ["phase"],
