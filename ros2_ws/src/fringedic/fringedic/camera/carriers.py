@@ -13,15 +13,15 @@ from fringedic.errors import ErrorCode, GridError
 
 # test_grid.py contains images on both sides of the thresholds that refuse an image.
 FINEST = 3.5  # [px] shorter periods leave no space in the spectrum between the grid and its own harmonics
-_COARSEST = 12  # periods along the shorter side of the image
-_LOWEST = 3.0  # periods per image; lower frequencies are illumination
-_CONTRAST = 20.0  # a grid's peak over the typical amplitude at its frequency; noise and speckle reach 6
-_HARMONIC = 0.3  # amplitude at a half or third of a frequency, over that of a peak which may be its harmonic
-_SECOND = 0.15  # a direction's amplitude over the stronger one's
+_COARSEST = 12  # at least so many periods have to fit along the shorter side
+_LOWEST = 3.0  # fewer periods per image are illumination
+_CONTRAST = 20.0  # a grid exceeds the typical amplitude at its frequency so many times; noise and speckle reach 6
+_HARMONIC = 0.3  # a peak is a harmonic if a half or third of its frequency has this part of its amplitude
+_SECOND = 0.15  # the weaker direction has at least this part of the amplitude of the stronger one
 # An alias with fewer periods across the image is not distinguishable from a distortion: aliases of the lines of one
 # direction, and those of the crossings, which are weaker.
 _SLOWEST, _SLOWEST_CROSSED = 12.0, 4.0
-_STRONG, _WEAK = 5, 11  # highest harmonics of printed lines that make an image useless, or worse
+_STRONG, _WEAK = 5, 11  # aliases of printed lines up to these harmonics make an image useless, or worse
 _LARGEST_TURN = 15.0  # [degree] no larger turn is advised
 
 
@@ -45,12 +45,30 @@ def find_carriers(image: np.ndarray) -> np.ndarray:
         There is no grid, lines of one direction only, or a period too long or too short to be measured.
     """
     spectrum = _Spectrum(image)
-    first, typical = _first_peak(spectrum)
-    second = _second_peak(spectrum, first, typical)
-    peaks = [_refined(spectrum, each) for each in (first, second)]
+    first = _peak(spectrum.searched, spectrum.amplitude)
+    typical = spectrum.typical(first) if spectrum.searched[first] > 0 else 0.0
+    if spectrum.searched[first] <= _CONTRAST * typical:
+        raise GridError(
+            "there is no grid in this image: put the printed grid on the reference plane, in focus and evenly lit"
+        )
+    second = _peak(spectrum.across(first), spectrum.amplitude)
+    if spectrum.amplitude[second] < max(_SECOND * spectrum.amplitude[first], _CONTRAST * typical):
+        raise GridError(
+            "the lines run in one direction only: the grid needs crossed lines, and both have to be in focus"
+        )
+    peaks = [_refine_peak(spectrum, each) for each in (first, second)]
     peaks.sort(key=lambda peak: -abs(peak[0]))
     carriers = np.array([peaks[0] * np.sign(peaks[0][0]), peaks[1] * np.sign(peaks[1][1])])
-    _check_periods(carriers, image.shape)
+    periods = 1 / np.hypot(*carriers.T)
+    if periods.max() > min(image.shape) / _COARSEST:
+        raise GridError(
+            f"the grid has a period of {periods.max():.0f} px: too coarse, at least {_COARSEST} periods have to fit in "
+            "the image; print a finer one"
+        )
+    if periods.min() < FINEST:
+        raise GridError(
+            f"the grid has a period of {periods.min():.1f} px: too fine, {FINEST} px are needed and 6 to 15 are good"
+        )
     return carriers
 
 
@@ -81,39 +99,6 @@ class _Spectrum:
         return np.where(np.abs(along) < 0.5, self.searched, 0.0)
 
 
-def _first_peak(spectrum: _Spectrum) -> tuple[tuple[int, int], float]:
-    """Return the strongest peak, and the typical amplitude at its frequency."""
-    first = _peak(spectrum.searched, spectrum.amplitude)
-    typical = spectrum.typical(first) if spectrum.searched[first] > 0 else 0.0
-    if spectrum.searched[first] <= _CONTRAST * typical:
-        raise GridError(
-            "there is no grid in this image: put the printed grid on the reference plane, in focus and evenly lit"
-        )
-    return first, typical
-
-
-def _second_peak(spectrum: _Spectrum, first: tuple[int, int], typical: float) -> tuple[int, int]:
-    second = _peak(spectrum.across(first), spectrum.amplitude)
-    if spectrum.amplitude[second] < max(_SECOND * spectrum.amplitude[first], _CONTRAST * typical):
-        raise GridError(
-            "the lines run in one direction only: the grid needs crossed lines, and both have to be in focus"
-        )
-    return second
-
-
-def _check_periods(carriers: np.ndarray, shape: tuple[int, ...]) -> None:
-    periods = 1 / np.hypot(*carriers.T)
-    if periods.max() > min(shape) / _COARSEST:
-        raise GridError(
-            f"the grid has a period of {periods.max():.0f} px: too coarse, at least {_COARSEST} periods have to fit in "
-            "the image; print a finer one"
-        )
-    if periods.min() < FINEST:
-        raise GridError(
-            f"the grid has a period of {periods.min():.1f} px: too fine, {FINEST} px are needed and 6 to 15 are good"
-        )
-
-
 def check_aliasing(carriers: np.ndarray, shape: tuple[int, int]) -> list[Finding]:
     """Return a finding when the pixels alias harmonics of the lines to a slow error of the phase.
 
@@ -134,7 +119,8 @@ def check_aliasing(carriers: np.ndarray, shape: tuple[int, int]) -> list[Finding
             strongest = min(strongest, *slow)
     if not periods:
         return []
-    turn, advised = _turn(carriers), _advised_turn(float(np.mean(list(periods.values()))), shape)
+    turn = abs(float(np.arctan2(carriers[0, 1], carriers[0, 0])))
+    advised = _advised_turn(float(np.mean(list(periods.values()))), shape)
     if strongest <= _STRONG:
         raise GridError(aliasing_text(periods, turn, advised), code=ErrorCode.GRID_ALIASED)
     values = {f"period_{name}": period for name, period in periods.items()} | {"turn": turn}
@@ -174,11 +160,6 @@ def _slow_components(carriers: np.ndarray, direction: int, shape: tuple[int, int
     return slow
 
 
-def _turn(carriers: np.ndarray) -> float:
-    """Return the angle between the lines and the pixels [rad], below 45 degree."""
-    return abs(float(np.arctan2(carriers[0, 1], carriers[0, 0])))
-
-
 def _advised_turn(period: float, shape: tuple[int, int]) -> float | None:
     """Return the smallest turn [rad], in half degrees, that is good for a period, as are its neighbours; or None."""
     good = []
@@ -194,7 +175,7 @@ def _advised_turn(period: float, shape: tuple[int, int]) -> float | None:
 def _peak(searched: np.ndarray, amplitude: np.ndarray) -> tuple[int, int]:
     """Return the strongest entry, or its fundamental when it is a harmonic of a strong one."""
     index = np.unravel_index(np.argmax(searched), searched.shape)
-    place = np.array([_signed(int(i), n) for i, n in zip(index, searched.shape, strict=True)])
+    place = np.array([i if i <= n // 2 else i - n for i, n in zip(index, searched.shape, strict=True)])
     for divisor in (3, 2):
         near = np.round(place / divisor).astype(int)
         block = [np.arange(i - 2, i + 3) % n for i, n in zip(near, searched.shape, strict=True)]
@@ -205,12 +186,7 @@ def _peak(searched: np.ndarray, amplitude: np.ndarray) -> tuple[int, int]:
     return int(index[0]), int(index[1])
 
 
-def _signed(index: int, size: int) -> int:
-    """Return the signed frequency index."""
-    return index if index <= size // 2 else index - size
-
-
-def _refined(spectrum: _Spectrum, index: tuple[int, int]) -> np.ndarray:
+def _refine_peak(spectrum: _Spectrum, index: tuple[int, int]) -> np.ndarray:
     """Return the frequency of a peak between the bins: vertex of a parabola through the logarithms, along each axis."""
     found = []
     for axis, frequencies in ((1, spectrum.f_column[0]), (0, spectrum.f_row[:, 0])):

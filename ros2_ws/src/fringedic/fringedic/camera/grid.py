@@ -7,7 +7,6 @@ order is chosen by cross-validation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,18 +25,18 @@ from fringedic.wording.arguments import check_arguments, number, optional, whole
 
 # test_grid.py contains images on both sides of the thresholds that refuse an image or warn.
 SMALLEST_IMAGE = 64  # [px]
-OUTLIER = 6.0  # robust standard deviations
+OUTLIER = 6.0  # a point that deviates by more robust standard deviations is rejected
 TO_SIGMA = 1.4826  # from the median absolute deviation to the standard deviation of a normal distribution
 _SMALLEST_SCATTER = 1e-4  # [px]: images without noise have no outliers
 _BLOCK = 5.0  # periods
 # The windows of points one period apart overlap. The sum of the autocorrelation of the cubic B-spline over whole
 # periods, along one direction, is 315 / 151; with both directions it is the ratio of standard deviations.
 OVERLAP = 315 / 151
-_NOISIEST = 0.1  # [px] scatter of the points
+_NOISIEST = 0.1  # [px]: points that scatter more show noise, blur or a surface that is not flat
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 _SATURATED_WARNING, _SATURATED_ERROR = 0.005, 0.1
-_SCALE = 1.2  # factor between the pixel sizes by the grid and by the user
-_ASPECT = 0.02  # relative difference of the scales along rows and columns
+_SCALE = 1.2  # the pixel sizes by the grid and by the user differ by less than this factor
+_ASPECT = 0.02  # the scales along rows and columns of a good print differ by less
 _SKEW = 0.01  # [rad]
 
 
@@ -93,7 +92,7 @@ class GridMeasurement:
     warnings: tuple[Finding, ...]
 
 
-HIGHEST_ORDER = 30  # of a polynomial: more than the periods of a grid allow
+HIGHEST_ORDER = 30  # exceeds what the periods of a grid allow
 
 
 @check_arguments(GridError, pitch=number(), order=optional(whole(high=HIGHEST_ORDER)), pixel_size=optional(number()))
@@ -176,7 +175,15 @@ def measure_distortion(
         warnings.append(Finding(GridFinding.COVERED, ", ".join(phases.covered)))
     field = _fit_field(phases, image.shape, _BLOCK * period, order)
     distortion, plane, turn = _at_rest_in_the_centre(field, image.shape, pitch)
-    _check_pixel_size(plane, pixel_size)
+    if pixel_size is not None and not 1 / _SCALE < plane.pixel_size / pixel_size < _SCALE:
+        raise GridError(
+            f"with this pitch a pixel is {1e6 * plane.pixel_size:.1f} µm on the plane and not about "
+            f"{1e6 * pixel_size:.1f} µm: is the pitch given in metre, and the one of this grid?"
+        )
+    if abs(plane.pixel_aspect - 1) > _ASPECT:
+        warnings.append(Finding(GridFinding.ASPECT, values={"difference": abs(plane.pixel_aspect - 1)}))
+    if abs(plane.skew) > _SKEW:
+        warnings.append(Finding(GridFinding.SKEW, values={"angle": 0.5 * np.pi - plane.skew}))
     return GridMeasurement(
         distortion=distortion,
         plane=plane,
@@ -194,7 +201,7 @@ def measure_distortion(
         residual_columns=field.left[:, 0],
         residual_rows=field.left[:, 1],
         valid_fraction=float(phases.valid.mean()),
-        warnings=(*warnings, *_warnings_of_print(plane)),
+        warnings=tuple(warnings),
     )
 
 
@@ -296,20 +303,14 @@ def checked_grid(grid_image: ArrayLike, mask: ArrayLike | None) -> tuple[np.ndar
         usable &= np.asarray(mask, bool)
     if not usable.any():
         raise GridError("no pixel of the image may be used")
-    saturated = _saturated(image[usable])
+    # This includes means of several frames: a pixel that is saturated in all of them is exactly so in the mean.
+    values = image[usable]
+    brightest = float(values.max())
+    saturated = float(np.mean(values == brightest)) if brightest in _FULL_SCALES else 0.0
     if saturated > _SATURATED_ERROR:
         raise GridError(f"{saturated:.0%} of the grid image is saturated: expose less")
     warnings = [Finding(GridFinding.SATURATED, values={"share": saturated})] if saturated > _SATURATED_WARNING else []
     return np.where(usable, image, image[usable].mean()), usable, warnings
-
-
-def _saturated(values: np.ndarray) -> float:
-    """Return the share of grey levels at a usual full scale.
-
-    This includes means of several frames: a pixel that is saturated in all of them is exactly so in the mean.
-    """
-    brightest = float(values.max())
-    return float(np.mean(values == brightest)) if brightest in _FULL_SCALES else 0.0
 
 
 def _at_rest_in_the_centre(
@@ -353,18 +354,3 @@ def _at_rest_in_the_centre(
         PlaneHomography(to_plane, float(half[0]), float(half[1])),
         -turned,
     )
-
-
-def _check_pixel_size(plane: PlaneHomography, pixel_size: float | None) -> None:
-    if pixel_size is not None and not 1 / _SCALE < plane.pixel_size / pixel_size < _SCALE:
-        raise GridError(
-            f"with this pitch a pixel is {1e6 * plane.pixel_size:.1f} µm on the plane and not about "
-            f"{1e6 * pixel_size:.1f} µm: is the pitch given in metre, and the one of this grid?"
-        )
-
-
-def _warnings_of_print(plane: PlaneHomography) -> Iterator[Finding]:
-    if abs(plane.pixel_aspect - 1) > _ASPECT:
-        yield Finding(GridFinding.ASPECT, values={"difference": abs(plane.pixel_aspect - 1)})
-    if abs(plane.skew) > _SKEW:
-        yield Finding(GridFinding.SKEW, values={"angle": 0.5 * np.pi - plane.skew})

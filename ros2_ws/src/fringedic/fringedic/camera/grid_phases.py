@@ -13,15 +13,15 @@ from fringedic.camera.polynomials import Basis, least_squares, square, terms
 from fringedic.errors import GridError
 
 # test_grid.py contains images on both sides of the thresholds that refuse an image or warn.
-_START_ORDERS = (2, 4, 8)  # of the polynomial of the phase, from differences of neighbours
-_MODEL_ORDER = 14  # of the polynomial of the phase that demodulates the image
-_LIGHT_ORDER = 4  # of the polynomials of the amplitudes
-_PASSES = 2  # of demodulation and refinement
-_WELL_SEEN = 80  # percentile of the amplitudes that represents the grid, even if half of the image is dark
-_FAINT = 0.25  # amplitude relative to that; smaller ones are not the grid
-_LOWEST_CONTRAST = 0.04  # amplitude relative to the mean grey level
+_START_ORDERS = (2, 4, 8)  # differences of neighbours give the phase as polynomials of these orders
+_MODEL_ORDER = 14  # the image is demodulated by a phase polynomial of this order
+_LIGHT_ORDER = 4  # polynomials of this order follow the amplitudes
+_PASSES = 2  # the image is demodulated and the phase refined so many times
+_WELL_SEEN = 80  # this percentile of the amplitudes represents the grid, even if half of the image is dark
+_FAINT = 0.25  # a smaller part of that amplitude is not the grid
+_LOWEST_CONTRAST = 0.04  # visible lines have this amplitude relative to the mean grey level
 _FEWEST = 60  # points
-_BARE, _PARTLY = 0.2, 0.9  # valid part of a ninth of the image
+_BARE, _PARTLY = 0.2, 0.9  # a ninth of the image with a smaller valid part is bare, or partly covered
 _PLACES = (
     ("upper left", "top", "upper right"),
     ("left", "centre", "right"),
@@ -99,7 +99,18 @@ def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> 
     valid &= ~binary_dilation(inner & ~valid, np.ones((3, 3), bool), iterations=2)
     if valid.sum() < _FEWEST:
         raise GridError("hardly any of the image shows the grid")
-    covered = _coverage(valid, inner)
+    rows, columns = (3 * np.arange(n) // n for n in valid.shape)
+    shares = {}
+    for i, names in enumerate(_PLACES):
+        for j, name in enumerate(names):
+            place = np.ix_(rows == i, columns == j)
+            shares[name] = float(valid[place].sum() / max(inner[place].sum(), 1))
+    bare = [name for name, share in shares.items() if share < _BARE]
+    if bare:
+        raise GridError(
+            f"the image shows no grid at: {', '.join(bare)}; the grid has to fill the image, free of shadow and glare"
+        )
+    covered = tuple(name for name, share in shares.items() if share < _PARTLY)
     basis = Basis(windows.points, image.shape, _MODEL_ORDER)
     carried = Basis(windows.points[valid.ravel()], image.shape, _MODEL_ORDER).highest
     for k, model in enumerate(models):
@@ -197,22 +208,6 @@ def _linear(carrier: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     coefficients[0, 1] = np.pi * carrier[0] * (shape[1] - 1)
     coefficients[1, 0] = np.pi * carrier[1] * (shape[0] - 1)
     return coefficients
-
-
-def _coverage(valid: np.ndarray, inner: np.ndarray) -> tuple[str, ...]:
-    """Return the ninths of the image that show too little of the grid; refuse an image in which one shows none."""
-    rows, columns = (3 * np.arange(n) // n for n in valid.shape)
-    shown = {}
-    for i, names in enumerate(_PLACES):
-        for j, name in enumerate(names):
-            place = np.ix_(rows == i, columns == j)
-            shown[name] = float(valid[place].sum() / max(inner[place].sum(), 1))
-    bare = [name for name, share in shown.items() if share < _BARE]
-    if bare:
-        raise GridError(
-            f"the image shows no grid at: {', '.join(bare)}; the grid has to fill the image, free of shadow and glare"
-        )
-    return tuple(name for name, share in shown.items() if share < _PARTLY)
 
 
 def _strong(amplitude: np.ndarray, windows: _Windows, valid: np.ndarray) -> np.ndarray:

@@ -37,7 +37,15 @@ class Basis:
         self.points = points
         self.shape = shape
         self.matrix = _matrix(points, shape, highest)
-        self.highest = _carried(self.matrix, highest)
+        gram = self.matrix.T @ self.matrix
+        factor, failed = dpotrf(gram, lower=1)
+        count = failed - 1 if failed > 0 else len(gram)
+        own = np.diag(factor)[:count] ** 2 / np.diag(gram)[:count]
+        if (own < _OWN).any():
+            count = int(np.argmax(own < _OWN))
+        while highest > 1 and terms(highest) > count:
+            highest -= 1
+        self.highest = highest
         self.matrix = self.matrix[:, : terms(self.highest)]
 
     def fit(self, values: np.ndarray, order: int, weights: np.ndarray) -> np.ndarray:
@@ -78,19 +86,6 @@ def least_squares(matrix: np.ndarray, values: np.ndarray, weights: np.ndarray) -
     weighted = matrix.T * weights
     coefficients: np.ndarray = cho_solve(cho_factor(weighted @ matrix), weighted @ values)
     return coefficients
-
-
-def _carried(matrix: np.ndarray, highest: int) -> int:
-    """Return the highest order whose terms are independent of those before them."""
-    gram = matrix.T @ matrix
-    factor, failed = dpotrf(gram, lower=1)
-    count = failed - 1 if failed > 0 else len(gram)
-    own = np.diag(factor)[:count] ** 2 / np.diag(gram)[:count]
-    if (own < _OWN).any():
-        count = int(np.argmax(own < _OWN))
-    while highest > 1 and terms(highest) > count:
-        highest -= 1
-    return highest
 
 
 def choose_order(

@@ -102,17 +102,9 @@ def measure_tilted_grid(
     points = grid.pitch * found.phases / (2 * np.pi) * (1, -1)
     size = np.abs(points - apply_homography(fit_homography(seen, points, weights), seen)).max(axis=1)
     kept = size <= OUTLIER * TO_SIGMA * np.median(size)
-    return _in_blocks(seen[kept], points[kept], weights[kept], grid, angle)
-
-
-def _in_blocks(
-    seen: np.ndarray,
-    points: np.ndarray,
-    weights: np.ndarray,
-    grid: GridMeasurement,
-    angle: float,
-) -> TiltedGrid:
-    """Return means over blocks of points of the grid [m] (points, 2) that are seen at ideal pixels (points, 2)."""
+    seen = seen[kept]
+    points = points[kept]
+    weights = weights[kept]
     shape = (grid.distortion.height, grid.distortion.width)
     to_grid = fit_homography(seen, points, weights)
     left = points - apply_homography(to_grid, seen)
@@ -171,63 +163,8 @@ def locate_pin_hole(
     GridError
         Angles are on one side only or have the wrong sign, or the images contradict each other.
     """
-    distance = _rough_distance(grid.plane, tilted, orientation)
-    bundle = _Bundle(grid, tuple(tilted), orientation, sigma_angle)
-    solution = bundle.fit(distance)
-    warnings = list(grid.warnings)
-    if solution.chi_square > _SUSPICIOUS:
-        warnings.append(_contradiction(bundle, solution, distance))
-    covariance = max(1.0, solution.chi_square) * solution.covariance[:3, :3]
-    distortion, plane = _with_pin_hole(grid, solution.values[:3], covariance)
-    return dataclasses.replace(grid, distortion=distortion, plane=plane, warnings=tuple(warnings))
-
-
-def contradiction_text(stated: Sequence[float], apparent: Sequence[float], residual: float) -> str:
-    """Return the words about tilted grids that contradict each other.
-
-    Parameters
-    ----------
-    stated, apparent
-        Angles of the plane as entered, and as the images show it [rad].
-    residual
-        Largest residual of an image [px].
-    """
-    named = " and ".join(f"{math.degrees(each):+g}" for each in stated)
-    seems = " and ".join(f"{math.degrees(each):+.2f}" for each in apparent)
-    return (
-        f"the grids at {named} degree contradict each other by {residual:.3f} px, as if the plane had been at {seems} "
-        "degree: were these the angles, is the sheet flat, and did it stay in place?"
-    )
-
-
-def _contradiction(bundle: _Bundle, solution: _Solution, distance: float) -> Finding:
-    """Find the angles that reconcile the images; refuse the images when a stated angle is wrong.
-
-    Raises
-    ------
-    GridError
-        An angle is wrong by more than 0.5 degree, or the residual is above 0.5 px.
-    """
-    free = dataclasses.replace(bundle, sigma_angle=max(bundle.sigma_angle, _ANY_ANGLE))
-    errors = free.fit(distance).values[_ANGLES:]
-    residual, stated = max(solution.left), [each.angle for each in bundle.tilted]
-    apparent = [angle + float(error) for angle, error in zip(stated, errors, strict=True)]
-    if np.abs(errors).max() > _WRONG_ANGLE or not residual < _WRONG:
-        raise GridError(contradiction_text(stated, apparent, residual))
-    values = {"residual": residual}
-    for number, (angle, seen) in enumerate(zip(stated, apparent, strict=True), start=1):
-        values |= {f"stated_{number}": angle, f"apparent_{number}": seen}
-    return Finding(GridFinding.CONTRADICTION, values=values)
-
-
-def _rough_distance(plane: PlaneHomography, tilted: Sequence[TiltedGrid], orientation: Orientation) -> float:
-    """Return the height of the pin-hole by the perspective of the tilted grids [m]: tan(angle) / growth.
-
-    Raises
-    ------
-    GridError
-        Angles are on one side only or have the wrong sign, or a plane was not tilted.
-    """
+    # The perspective of a tilted grid gives the height of the pin-hole: tan(angle) / growth.
+    plane = grid.plane
     angles = [each.angle for each in tilted]
     if not angles or not min(angles) < -SMALLEST_TURN < SMALLEST_TURN < max(angles):
         raise GridError(
@@ -251,7 +188,42 @@ def _rough_distance(plane: PlaneHomography, tilted: Sequence[TiltedGrid], orient
             f"the grid at {math.degrees(angles[worst]):+g} degree is seen as if the plane were at "
             f"{seems:+.1f}: tilt the plane, with the grid on it, to the angle asked for"
         )
-    return float(1 / np.mean(inverse))
+    distance = float(1 / np.mean(inverse))
+    bundle = _Bundle(grid, tuple(tilted), orientation, sigma_angle)
+    solution = bundle.fit(distance)
+    warnings = list(grid.warnings)
+    if solution.chi_square > _SUSPICIOUS:
+        free = dataclasses.replace(bundle, sigma_angle=max(bundle.sigma_angle, _ANY_ANGLE))
+        errors = free.fit(distance).values[_ANGLES:]
+        residual, stated = max(solution.left), [each.angle for each in bundle.tilted]
+        apparent = [angle + float(error) for angle, error in zip(stated, errors, strict=True)]
+        if np.abs(errors).max() > _WRONG_ANGLE or not residual < _WRONG:
+            raise GridError(contradiction_text(stated, apparent, residual))
+        values = {"residual": residual}
+        for number, (angle, seen) in enumerate(zip(stated, apparent, strict=True), start=1):
+            values |= {f"stated_{number}": angle, f"apparent_{number}": seen}
+        warnings.append(Finding(GridFinding.CONTRADICTION, values=values))
+    covariance = max(1.0, solution.chi_square) * solution.covariance[:3, :3]
+    distortion, plane = _with_pin_hole(grid, solution.values[:3], covariance)
+    return dataclasses.replace(grid, distortion=distortion, plane=plane, warnings=tuple(warnings))
+
+
+def contradiction_text(stated: Sequence[float], apparent: Sequence[float], residual: float) -> str:
+    """Return the words about tilted grids that contradict each other.
+
+    Parameters
+    ----------
+    stated, apparent
+        Angles of the plane as entered, and as the images show it [rad].
+    residual
+        Largest residual of an image [px].
+    """
+    named = " and ".join(f"{math.degrees(each):+g}" for each in stated)
+    seems = " and ".join(f"{math.degrees(each):+.2f}" for each in apparent)
+    return (
+        f"the grids at {named} degree contradict each other by {residual:.3f} px, as if the plane had been at {seems} "
+        "degree: were these the angles, is the sheet flat, and did it stay in place?"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +282,7 @@ class _Bundle:
     def _apart(self, values: np.ndarray) -> Iterator[tuple[TiltedGrid, np.ndarray]]:
         errors = values[_ANGLES:] if len(values) > _ANGLES else np.zeros(len(self.tilted))
         for each, error in zip(self.tilted, errors, strict=True):
-            yield each, each.grid - _aligned(self._seen(values, each, float(error)), each)
+            yield each, each.grid - _align(self._intersect(values, each, float(error)), each)
 
     @cached_property
     def _reach(self) -> float:
@@ -331,7 +303,7 @@ class _Bundle:
         noise = OVERLAP * self.grid.residual / math.sqrt(2) * self.grid.plane.pixel_size / self._reach
         return np.linalg.cholesky(slopes.T @ slopes / noise**2).T
 
-    def _seen(self, values: np.ndarray, each: TiltedGrid, error: float) -> np.ndarray:
+    def _intersect(self, values: np.ndarray, each: TiltedGrid, error: float) -> np.ndarray:
         """Return the points in which the lines of sight meet a tilted plane, in coordinates that turn with it [m]."""
         across, up, skew, slope = values[3:_VIEW_ERRORS]
         if self.orientation == Orientation.VERTICAL:
@@ -350,7 +322,7 @@ class _Bundle:
         return seen
 
 
-def _aligned(points: np.ndarray, each: TiltedGrid) -> np.ndarray:
+def _align(points: np.ndarray, each: TiltedGrid) -> np.ndarray:
     """Return points (n, 2) after the translation and rotation that align them best with those of the grid."""
     weights = each.sigma**-2 / np.sum(each.sigma**-2)
     middle = weights @ each.grid

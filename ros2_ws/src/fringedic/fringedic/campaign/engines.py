@@ -152,7 +152,16 @@ class Dask:
     def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
         """See `Engine`; a unit whose worker dies is tried again, three times altogether."""
         with self._client() as client:
-            limit = self._memory_limit(client)
+            try:
+                client.wait_for_workers(1, timeout=60)
+            except TimeoutError as error:
+                raise CampaignError(
+                    f"the Dask scheduler {client.scheduler.address} has no workers: start some, and repeat the command"
+                ) from error
+            workers = client.scheduler_info(n_workers=-1)["workers"].values()
+            limit = min(
+                (float(worker["memory_limit"]) for worker in workers if worker["memory_limit"]), default=float("inf")
+            )
             self._announce(client.dashboard_link)
             yield from (_too_large(unit, limit) for unit in units if unit.memory > limit)
             futures = {
@@ -162,28 +171,20 @@ class Dask:
             }
             completed = self._distributed.as_completed(futures, with_results=True, raise_errors=False)
             for future, result in completed:
-                yield self._outcome(future, result, futures[future])
-
-    def _outcome(self, future: Any, result: Any, unit: Unit) -> Outcome:
-        if future.status == "finished":
-            assert isinstance(result, Receipt | Failure)
-            return result
-        error = future.exception() if future.status == "error" else None
-        if isinstance(error, self._distributed.KilledWorker):
-            return _died(unit)
-        raise _lost(self._scheduler or "this computer", error)
-
-    def _memory_limit(self, client: Any) -> float:
-        try:
-            client.wait_for_workers(1, timeout=60)
-        except TimeoutError as error:
-            raise CampaignError(
-                f"the Dask scheduler {client.scheduler.address} has no workers: start some, and repeat the command"
-            ) from error
-        workers = client.scheduler_info(n_workers=-1)["workers"].values()
-        return min(
-            (float(worker["memory_limit"]) for worker in workers if worker["memory_limit"]), default=float("inf")
-        )
+                unit = futures[future]
+                if future.status == "finished":
+                    assert isinstance(result, Receipt | Failure)
+                    yield result
+                    continue
+                cause = future.exception() if future.status == "error" else None
+                if not isinstance(cause, self._distributed.KilledWorker):
+                    place = self._scheduler or "this computer"
+                    reason = f" ({type(cause).__name__})" if cause is not None else ""
+                    raise CampaignError(
+                        f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which "
+                        "continues with what is not committed"
+                    )
+                yield _died(unit)
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
@@ -237,14 +238,6 @@ def _died(unit: Unit) -> Failure:
         unit,
         f"{unit.path}: its worker died {_ATTEMPTS} times, most often for lack of memory: use fewer workers, and repeat "
         "it with 'fringedic campaign retry'",
-    )
-
-
-def _lost(place: str, error: BaseException | None) -> CampaignError:
-    reason = f" ({type(error).__name__})" if error is not None else ""
-    return CampaignError(
-        f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which continues "
-        "with what is not committed"
     )
 
 

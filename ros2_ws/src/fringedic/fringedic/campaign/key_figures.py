@@ -39,25 +39,6 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
     """
     specimen = recorded_metadata(dataset).specimen
     floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
-    figures: dict[str, Any] = {
-        "experiment": dataset.attrs["experiment"],
-        "specimen": specimen.name,
-        "material": specimen.material,
-        "steps": dataset.sizes["step"],
-        "failed_steps": int(np.count_nonzero(dataset["error"].values != "")),
-        "confirmed_fraction": confirmed_share(dataset),
-        "valid_fraction": _mean(dataset["valid_fraction"].values),
-        "largest_force": _largest(dataset["force"].values),
-        **_largest_strain(dataset),
-        "axial_strain": constants.axial,
-        **{name: getattr(constants, name) for name in _ELASTIC},
-        **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
-    }
-    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in figures.items()}
-
-
-def _largest_strain(dataset: xr.Dataset) -> dict[str, Any]:
-    """Return the strain of the largest magnitude with its standard deviation and its step, one map after the other."""
     largest, sigma, step = np.nan, np.nan, None
     for index in range(dataset.sizes["step"]):
         for name in _STRAINS:
@@ -68,14 +49,24 @@ def _largest_strain(dataset: xr.Dataset) -> dict[str, Any]:
             if not abs(values[place]) <= abs(largest):
                 largest, step = float(values[place]), int(dataset["step"][index])
                 sigma = float(dataset[f"sigma_{name}"].isel(step=index).values[place])
-    return {"largest_strain": largest, "sigma_largest_strain": sigma, "largest_strain_step": step}
-
-
-def _largest(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known[np.argmax(np.abs(known))]) if known.size else np.nan
-
-
-def _mean(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else np.nan
+    forces = dataset["force"].values
+    known = forces[np.isfinite(forces)]
+    values = dataset["valid_fraction"].values
+    finite = values[np.isfinite(values)]
+    figures: dict[str, Any] = {
+        "experiment": dataset.attrs["experiment"],
+        "specimen": specimen.name,
+        "material": specimen.material,
+        "steps": dataset.sizes["step"],
+        "failed_steps": int(np.count_nonzero(dataset["error"].values != "")),
+        "confirmed_fraction": confirmed_share(dataset),
+        "valid_fraction": float(finite.mean()) if finite.size else np.nan,
+        "largest_force": float(known[np.argmax(np.abs(known))]) if known.size else np.nan,
+        "largest_strain": largest,
+        "sigma_largest_strain": sigma,
+        "largest_strain_step": step,
+        "axial_strain": constants.axial,
+        **{name: getattr(constants, name) for name in _ELASTIC},
+        **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
+    }
+    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in figures.items()}

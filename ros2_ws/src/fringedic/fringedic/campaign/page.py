@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from fringedic.campaign.groups import GroupStatistic, group_statistics
 from fringedic.campaign.opening import open_group
@@ -110,15 +109,11 @@ def _charts(receipts: Iterable[Receipt]) -> Iterator[go.Figure]:
     """Yield the curves of each group."""
     groups: dict[str, dict[str, SpecimenCurve]] = {}
     for receipt in receipts:
-        curve = {name: _array(values) for name, values in receipt.curve.items()}
+        curve = {name: np.array(values, float) for name, values in receipt.curve.items()}
         known = specimen_curve(curve, receipt.figures["axial_strain"])
         groups.setdefault(receipt.labels["group"], {})[receipt.name] = known
     for group, curves in groups.items():
         yield from specimen_charts(group or "Recordings without a group", curves)
-
-
-def _array(values: list[float | None]) -> np.ndarray:
-    return np.array(values, float)
 
 
 def _row(receipt: Receipt) -> list[str]:
@@ -156,16 +151,11 @@ def _picture(store: CampaignStore, recording: str) -> dict[str, Any]:
         if not measured.size or not names:
             return {"png": "", "words": "nothing measured"}
         step = dataset.isel(step=int(measured[-1]))
-        name, values = _first_measured(step, names)
+        for name in names:
+            values = step[name].values
+            if np.isfinite(values).any():
+                break
     png, (low, high) = thumbnail_png(values)
     unit = people_unit(dataset[name])
     words = f"{name} of step {int(step['step'])}: {number_text(low / unit.factor)} to {number_text(high / unit.factor)}"
     return {"png": base64_text(png), "words": f"{words} {unit.text}"}
-
-
-def _first_measured(step: xr.Dataset, names: list[str]) -> tuple[str, np.ndarray]:
-    for name in names:
-        values = step[name].values
-        if np.isfinite(values).any():
-            break
-    return name, values

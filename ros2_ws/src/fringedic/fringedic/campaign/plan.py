@@ -211,13 +211,29 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
             continue
         if summary.frames:
             shapes[found.name] = summary.image_shape
-        units.append(_unit(campaign.store, found, summary, campaign.processing(found.entry), software))
+        processing = campaign.processing(found.entry)
+        units.append(
+            Unit(
+                name=found.name,
+                path=found.path,
+                store=campaign.store,
+                key=_hash([processing, software, summary.fingerprint]),
+                processing=processing,
+                software=software,
+                fingerprint=summary.fingerprint,
+                labels=found.labels,
+                steps=summary.steps,
+                size=summary.size,
+                memory=predicted_memory(summary, processing["overrides"]) if summary.frames else 0.0,
+            )
+        )
+    usual = Counter(shapes.values()).most_common(1)
     return Plan(
         title=campaign.content.title,
         store=campaign.store,
         units=tuple(units),
         refused=refused,
-        unusual_shapes=_unusual(shapes),
+        unusual_shapes={name: shape for name, shape in shapes.items() if shape != usual[0][0]},
     )
 
 
@@ -244,22 +260,6 @@ def predicted_memory(summary: Summary, overrides: Mapping[str, Any] | None = Non
     return _LIBRARIES + pixels * (4 * maps + _IMAGES * itemsize * summary.frames_per_step)
 
 
-def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any], software: dict[str, str]) -> Unit:
-    return Unit(
-        name=found.name,
-        path=found.path,
-        store=store,
-        key=_hash([processing, software, summary.fingerprint]),
-        processing=processing,
-        software=software,
-        fingerprint=summary.fingerprint,
-        labels=found.labels,
-        steps=summary.steps,
-        size=summary.size,
-        memory=predicted_memory(summary, processing["overrides"]) if summary.frames else 0.0,
-    )
-
-
 def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summary | str:
     from fringedic.campaign.recordings import is_growing, summarise, summarise_growing
 
@@ -279,12 +279,6 @@ def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summar
             "file of the campaign"
         )
     return summary
-
-
-def _unusual(shapes: dict[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
-    """Return the recordings whose shape of images is not the most frequent one."""
-    usual = Counter(shapes.values()).most_common(1)
-    return {name: shape for name, shape in shapes.items() if shape != usual[0][0]}
 
 
 def _tuples(fingerprint: dict[str, list[int]]) -> dict[str, tuple[int, int]]:

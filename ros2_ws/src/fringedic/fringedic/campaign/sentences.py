@@ -35,9 +35,9 @@ def status_sentences(status: Status) -> list[str]:
     counts = f"{len(status.done)} of {counted(status.plan.size, 'recording')} complete"
     return [
         f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
-        *_listed("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),
-        *_listed("refused", list(status.plan.refused.values())),
-        *_listed("failed", [failure.reason for failure in status.failed.values()]),
+        *_list("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),
+        *_list("refused", list(status.plan.refused.values())),
+        *_list("failed", [failure.reason for failure in status.failed.values()]),
         *unplanned_sentences(status),
     ]
 
@@ -58,7 +58,7 @@ def _begun_words(name: str, begun: dict[str, Any]) -> str:
     return f"{name} by {begun['worker']}{measured}" + (f", attempt {attempts}" if attempts > 1 else "")
 
 
-def _listed(what: str, reasons: list[str]) -> Iterator[str]:
+def _list(what: str, reasons: list[str]) -> Iterator[str]:
     yield from (f"{what}: {reason}" for reason in reasons[:_SHOWN])
     if len(reasons) > _SHOWN:
         yield f"{what}: {len(reasons) - _SHOWN} more"
@@ -95,32 +95,17 @@ class CampaignProgress:
             return f"{place} failed: {outcome.reason}"
         failed = outcome.figures["failed_steps"]
         words = f"{place}: {counted(outcome.figures['steps'], 'step')}" + (f", {failed} failed" if failed else "")
-        return f"{words}, {outcome.seconds:.1f} s; {self._rates(seconds)}{self._trouble()}"
-
-    def _trouble(self) -> str:
-        """Return how many units have failed, and how many were begun again because their worker had died."""
-        failed = sum(isinstance(outcome, Failure) for outcome in self.finished)
-        retried = sum(isinstance(outcome, Receipt) and outcome.attempts > 1 for outcome in self.finished)
-        return (f", {failed} failed" if failed else "") + (f", {retried} retried" if retried else "")
-
-    def _rates(self, seconds: float) -> str:
         done = [outcome for outcome in self.finished if isinstance(outcome, Receipt)]
         seconds = max(seconds, 1e-3)
         steps = sum(receipt.figures["steps"] for receipt in done) / seconds
         rate = sum(receipt.input_size for receipt in done) / seconds
         names = {outcome.name for outcome in self.finished}
         left = sum(unit.size for unit in self.units if unit.name not in names)
-        return f"{steps:.2g} steps/s, {1e-6 * rate:.3g} MB/s, {_duration(left / max(rate, 1.0))} left"
-
-
-def _duration(seconds: float) -> str:
-    """Return a duration in its usual unit.
-
-    Examples
-    --------
-    >>> [_duration(value) for value in (12.3, 600, 9000)]
-    ['12 s', '10 min', '2.5 h']
-    """
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+        to_go = left / max(rate, 1.0)
+        duration = f"{to_go / 60:.0f} min" if to_go < 6000 else f"{to_go / 3600:.1f} h"
+        if to_go < 100:
+            duration = f"{to_go:.0f} s"
+        text = f"{words}, {outcome.seconds:.1f} s; {steps:.2g} steps/s, {1e-6 * rate:.3g} MB/s, {duration} left"
+        lost = sum(isinstance(outcome, Failure) for outcome in self.finished)
+        retried = sum(isinstance(outcome, Receipt) and outcome.attempts > 1 for outcome in self.finished)
+        return text + (f", {lost} failed" if lost else "") + (f", {retried} retried" if retried else "")

@@ -24,9 +24,9 @@ from fringedic.wording.arguments import array, check_arguments, of_type
 
 f4 = np.float32
 
-_AREA = 0.25  # of the window of the measurement
-_FLAT = 2.0  # width of the window of local mean and contrast over that of w
-_LEAST = 0.5  # covered part of a window
+_AREA = 0.25  # the closure is evaluated in a window of this part of that of the measurement
+_FLAT = 2.0  # the local mean and contrast are those of a window so many times as wide as w
+_LEAST = 0.5  # at least this part of a window has to be covered
 _NOISE_RANGE = 2.0  # a variance beyond this multiple of the usual one is a fault, not noise
 _MEDIAN = 0.6745  # of the absolute values of a normal distribution
 _LARGEST_SCALE = 1.25  # 1.15 on leather; a larger one is a fault
@@ -81,19 +81,11 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
         empty = field.displacement_x.copy(data=np.full(field.displacement_x.shape, np.nan, f4))
         return xr.Dataset({"closure_x": empty, "closure_y": empty})
     fixed, moved = (_flatten(image, known, _FLAT * deviation) for image in (reference, moved))
-    remaining = _remaining_noise(window, str(field.attrs["method"]), deviation)
-    closure = _scores(fixed, moved, known, deviation, remaining)[:, ::spacing, ::spacing]
-    closure = np.where(np.isfinite(field.displacement_x.values), closure, f4(np.nan))
-    closure /= f4(_scale(closure))
-    units = {"units": "standard deviations"}
-    return xr.Dataset(
-        {f"closure_{axis}": (("row", "column"), part, units) for axis, part in zip("xy", closure, strict=True)},
-        field.coords,
-    )
-
-
-def _scores(fixed: np.ndarray, moved: np.ndarray, known: np.ndarray, deviation: float, remaining: float) -> np.ndarray:
-    """Return the closure (2, row, column) over its standard deviation, NaN where it is not known."""
+    # The measured displacement contains the part T of the noise, see `transfer`, so that 1 - T remains in the closure.
+    method = str(field.attrs["method"])
+    frequency = np.linspace(0, 0.5, 4001)
+    rings = frequency * np.exp(-((2 * np.pi * deviation * frequency) ** 2))  # square of the transfer of w
+    remaining = float(np.sum(rings * (1 - noise_transfer(frequency, window, method)) ** 2) / np.sum(rings))
     weight = known.astype(f4)
     covered = _smooth(weight, deviation)
     gradients = [(np.gradient(fixed, axis=axis) * weight).astype(f4) for axis in (1, 0)]
@@ -115,17 +107,16 @@ def _scores(fixed: np.ndarray, moved: np.ndarray, known: np.ndarray, deviation: 
         for a, b in ((kyy, -kxy), (-kyx, kxx)):
             sigma = np.sqrt(noise * (a**2 * spread[0] + b**2 * spread[1]))
             scores.append(np.sign(determinant) * (a * found[0] + b * found[1]) / sigma)
-    return np.where(known & (covered > _LEAST), np.stack(scores), f4(np.nan)).astype(f4)
-
-
-def _scale(closure: np.ndarray) -> float:
-    """Return how much larger than 1 the closures of most points are.
-
-    Where the texture is faint or has one direction, the displacement takes less of the noise with it than
-    `_remaining_noise` tells.
-    """
+    closure = np.where(known & (covered > _LEAST), np.stack(scores), f4(np.nan)).astype(f4)[:, ::spacing, ::spacing]
+    closure = np.where(np.isfinite(field.displacement_x.values), closure, f4(np.nan))
+    # Where the texture is faint or has one direction, the displacement takes less of the noise with it than that.
     known = np.abs(closure[np.isfinite(closure)])
-    return float(np.clip(np.median(known) / _MEDIAN, 1, _LARGEST_SCALE)) if known.size else 1.0
+    closure /= f4(float(np.clip(np.median(known) / _MEDIAN, 1, _LARGEST_SCALE)) if known.size else 1.0)
+    units = {"units": "standard deviations"}
+    return xr.Dataset(
+        {f"closure_{axis}": (("row", "column"), part, units) for axis, part in zip("xy", closure, strict=True)},
+        field.coords,
+    )
 
 
 def _move_back(
@@ -171,13 +162,3 @@ def _antisymmetric(first: np.ndarray, second: np.ndarray, axis: int) -> np.ndarr
     along[:-1] += half
     along[1:] += half
     return result
-
-
-def _remaining_noise(window: int, method: str, deviation: float) -> float:
-    """Return the variance of the closure over that of a displacement that is measured with its window alone.
-
-    The measured displacement contains the part T of the noise, see `transfer`, so that 1 - T remains in b.
-    """
-    frequency = np.linspace(0, 0.5, 4001)
-    rings = frequency * np.exp(-((2 * np.pi * deviation * frequency) ** 2))  # square of the transfer of w
-    return float(np.sum(rings * (1 - noise_transfer(frequency, window, method)) ** 2) / np.sum(rings))

@@ -164,16 +164,13 @@ class _LevelPair:
         u -= self.start
         nodes[:2] += u
         node_kernels.bound_unresolved(cells, u, self.unresolved)
-        self._match_brightness(nodes, noise)
-        few = np.s_[..., ::2, ::2]
-        return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
-
-    def _match_brightness(self, nodes: np.ndarray, noise: float) -> None:
         brightness = nodes[2:]
         before = brightness.copy()
         node_kernels.match_gain_offset(nodes, self.sums, noise**2 + 1e-6)
         node_kernels.van_cittert(brightness, before, self.seen, self.window.taps, BRIGHTNESS_PASSES)
         node_kernels.extrapolate(brightness, _fit_planes(brightness, self.seen), self.seen, self.window.taps)
+        few = np.s_[..., ::2, ::2]
+        return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
 
 
 def estimate_nodes(
@@ -197,7 +194,18 @@ def estimate_nodes(
     photometry
         Brightness and saturation of the deformed image.
     """
-    top, nodes = _start(levels, reference, deformed, width, initial, photometry)
+    last = len(levels) - 1
+    if initial is not None:
+        top = min(last, PREDICTION_LEVEL)
+        nodes = np.empty((4, *initial.shape[1:]), f4)
+        nodes[:2], nodes[2], nodes[3] = initial, photometry.gain, photometry.offset
+        target = (top, window_at_level(width, top).cell)
+        nodes = change_level(nodes, (0, design_window(width).cell), target, levels[top].shape)
+    else:
+        top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
+        motion = estimate_global_motion(reference, deformed)
+        cell = window_at_level(width, top).cell
+        nodes = make_affine_nodes(motion, top, levels[top].shape, cell, photometry.gain, photometry.offset)
     for k in range(top, -1, -1):
         window = window_at_level(width, k)
         if k < top:
@@ -217,25 +225,3 @@ def estimate_nodes(
             node_kernels.filter_median(nodes[:2], smooth)
             nodes[:2] = smooth
     return Field(nodes, pair.moved, pair.cells, pair.sums)
-
-
-def _start(
-    levels: list[Level],
-    reference: list[np.ndarray],
-    deformed: list[np.ndarray],
-    width: int,
-    initial: np.ndarray | None,
-    photometry: Photometry,
-) -> tuple[int, np.ndarray]:
-    """Return the level to begin at and its nodes (4, node row, node column)."""
-    last = len(levels) - 1
-    if initial is not None:
-        top = min(last, PREDICTION_LEVEL)
-        nodes = np.empty((4, *initial.shape[1:]), f4)
-        nodes[:2], nodes[2], nodes[3] = initial, photometry.gain, photometry.offset
-        target = (top, window_at_level(width, top).cell)
-        return top, change_level(nodes, (0, design_window(width).cell), target, levels[top].shape)
-    top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
-    motion = estimate_global_motion(reference, deformed)
-    cell = window_at_level(width, top).cell
-    return top, make_affine_nodes(motion, top, levels[top].shape, cell, photometry.gain, photometry.offset)

@@ -217,7 +217,9 @@ def compose(
     displacement[:, inside] = total.displacement[:, inside] + field.at(points[0], points[1])
     variance = np.full(total.variance.shape, np.nan)
     own = noise_gain * np.stack([_linear(each**2, points) for each in sigma])
-    gradient = np.array([[_linear(by, points) for by in _slopes(each, increment_grid.spacing)] for each in increment])
+    # by column and by row; 0 where neighbours are missing, as the slopes scale uncertainties only
+    slopes = [np.nan_to_num(np.gradient(each.astype(float), increment_grid.spacing))[::-1] for each in increment]
+    gradient = np.array([[_linear(by, points) for by in each] for each in slopes])
     along_x, along_y = 1 + gradient[0], gradient[1]
     (x_x, x_y), (y_x, y_y) = (along_x[0], gradient[0, 1]), (along_y[0], 1 + gradient[1, 1])
     before = total.variance[:, inside]
@@ -262,12 +264,6 @@ def _basis_spline(places: np.ndarray, length: int) -> np.ndarray:
     t = np.abs(places[:, None] - np.arange(length))
     inner, outer = 2 / 3 - t**2 + t**3 / 2, np.maximum(0, 2 - t) ** 3 / 6
     return np.where(t < 1, inner, outer)
-
-
-def _slopes(values: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives by column and by row, 0 where neighbours are missing: they scale uncertainties only."""
-    by_row, by_column = np.gradient(values.astype(float), spacing)
-    return np.nan_to_num(by_column), np.nan_to_num(by_row)
 
 
 def _linear(values: np.ndarray, points: list[np.ndarray]) -> np.ndarray:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from fringedic.correlation import dense, image_kernels, pyramid, resampling_kernels, zoi
 from fringedic.correlation.agreement import assess, count_textured_cells
 from fringedic.correlation.images import (
-    Photometry,
     measure_grey_range,
     measure_photometry,
     require_image,
@@ -173,14 +172,26 @@ def measure_displacement(
         )
         valid = np.isfinite(displacement[0])
     else:
-        displacement, sigma, valid = _measure_dense(reference, values, start, photometry)
-    return _label(displacement, sigma, valid, reference, method)
-
-
-def _label(
-    displacement: np.ndarray, sigma: np.ndarray, valid: np.ndarray, reference: Reference, method: str
-) -> xr.Dataset:
-    """Return displacement and standard uncertainty (2, row, column) [px] and validity as a dataset."""
+        design = design_window(reference.window)
+        prediction = None
+        if start is not None and np.isfinite(start).any():
+            prediction = pyramid.sample_initial(start, reference.shape, design.cell, reference.spacing)
+        field = dense.estimate_nodes(
+            reference.levels, reference.images, pyramid.build_pyramid(values), reference.window, prediction, photometry
+        )
+        nodes = assess(field, design, reference.textured)
+        centre = 0.5 * (design.cell - 1)
+        rows, columns = (reference.rows - centre) / design.cell, (reference.columns - centre) / design.cell
+        node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
+        node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
+        lines = np.empty((4, nodes.valid.shape[0] + 4, reference.shape[1]), f4)
+        resampling_kernels.upsample_nodes(np.concatenate([nodes.displacement, nodes.sigma]), design.cell, lines)
+        lines = np.ascontiguousarray(lines[:, :, :: reference.spacing])
+        fields = np.empty((4, rows.size, columns.size), f4)
+        valid = np.empty((rows.size, columns.size), np.bool_)
+        measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])
+        resampling_kernels.evaluate_points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
+        displacement, sigma = fields[:2], fields[2:]
     dimensions = ("row", "column")
     pixels = {"units": "px"}
     return xr.Dataset(
@@ -206,29 +217,3 @@ def _take_initial(initial: Sequence[ArrayLike] | xr.Dataset, reference: Referenc
     start = np.array([np.asarray(part, dtype=f4) for part in initial])
     start[:, ~np.isfinite(start).all(axis=0)] = np.nan
     return start
-
-
-def _measure_dense(
-    reference: Reference, values: np.ndarray, start: np.ndarray | None, photometry: Photometry
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return displacement and uncertainty (2, row, column) [px] and validity at the points of the result."""
-    window = design_window(reference.window)
-    initial = None
-    if start is not None and np.isfinite(start).any():
-        initial = pyramid.sample_initial(start, reference.shape, window.cell, reference.spacing)
-    field = dense.estimate_nodes(
-        reference.levels, reference.images, pyramid.build_pyramid(values), reference.window, initial, photometry
-    )
-    nodes = assess(field, window, reference.textured)
-    centre = 0.5 * (window.cell - 1)
-    rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
-    node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
-    node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
-    lines = np.empty((4, nodes.valid.shape[0] + 4, reference.shape[1]), f4)
-    resampling_kernels.upsample_nodes(np.concatenate([nodes.displacement, nodes.sigma]), window.cell, lines)
-    lines = np.ascontiguousarray(lines[:, :, :: reference.spacing])
-    fields = np.empty((4, rows.size, columns.size), f4)
-    valid = np.empty((rows.size, columns.size), np.bool_)
-    measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])
-    resampling_kernels.evaluate_points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
-    return fields[:2], fields[2:], valid

@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from fringedic.errors import CorrelationError, ErrorCode
 from fringedic.wording.arguments import array, check_arguments, whole
 
-_LEAST = 3  # points of which brightness and contrast can be fitted
+_LEAST = 3  # brightness and contrast can be fitted to so many points
 _NO_TEXTURE = 1e-6  # of the mean: rounding of single precision
 
 

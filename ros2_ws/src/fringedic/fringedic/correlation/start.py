@@ -23,7 +23,7 @@ from fringedic.correlation.pyramid import (
 
 f4 = np.float32
 
-CELL = 4  # [px], side of the cells
+CELL = 4  # [px] is the side of a cell
 WIDEST = 160  # [px] of the finest level used: it gives the motion to a fraction of a pixel of the full image
 # Standard deviations of the correlation surface above which no other start is tried; the maximum of 10^5 values of
 # noise is about 4.5. Here and below: test_large_motion_without_prediction.
@@ -43,23 +43,16 @@ def find_correlation_peak(reference: np.ndarray, deformed: np.ndarray) -> tuple[
     return dx, dy, float(surface[peak] / max(float(surface.std()), 1e-30))
 
 
-def _evaluate_affine(affine: np.ndarray, k: int, shape: tuple[int, int], cell: int) -> np.ndarray:
-    """Evaluate an affine motion (2, 3) [px of the full image] at the nodes of level k: (2, node row, node column) [px].
-
-    The columns of `affine` are the displacement at the image's corner pixel (0, 0) and its derivatives by x and by y.
-    """
-    scale = 2**k
-    rows, columns = (scale * locate_nodes(n, cell) + (scale - 1) / 2 for n in count_nodes(shape, cell))
-    field = affine[:, 0, None, None] + affine[:, 1, None, None] * columns + affine[:, 2, None, None] * rows[:, None]
-    return np.asarray(field / scale, dtype=f4)
-
-
 def make_affine_nodes(
     affine: np.ndarray, k: int, shape: tuple[int, int], cell: int, gain: float, offset: float
 ) -> np.ndarray:
     """Make nodes (4, node row, node column) of level k with an affine motion and a uniform brightness."""
     nodes = np.empty((4, *count_nodes(shape, cell)), f4)
-    nodes[:2] = _evaluate_affine(affine, k, shape, cell)
+    # The columns of `affine` are the displacement at the image's corner pixel (0, 0) and its derivatives by x and by y.
+    scale = 2**k
+    rows, columns = (scale * locate_nodes(n, cell) + (scale - 1) / 2 for n in count_nodes(shape, cell))
+    field = affine[:, 0, None, None] + affine[:, 1, None, None] * columns + affine[:, 2, None, None] * rows[:, None]
+    nodes[:2] = np.asarray(field / scale, dtype=f4)
     nodes[2], nodes[3] = gain, offset
     return nodes
 
@@ -90,7 +83,12 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
         limit = 4 * float(np.median(known))
         cell_kernels.accumulate_cells(images, lines, CELL, limit, unresolved, (-np.inf, np.inf), sums)
         s = sums.astype(np.float64)
-        change = _solve_affine(s, basis)
+        normal = np.empty((6, 6))
+        gxx, gxy, gyy = cell_kernels.GXX, cell_kernels.GXY, cell_kernels.GYY
+        for a, b, channel in ((0, 0, gxx), (0, 1, gxy), (1, 0, gxy), (1, 1, gyy)):
+            normal[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = np.einsum("iyx,jyx,yx->ij", basis, basis, s[channel])
+        right = [np.einsum("iyx,yx->i", basis, s[channel]) for channel in (cell_kernels.GXE, cell_kernels.GYE)]
+        change = np.asarray(np.linalg.lstsq(normal, np.concatenate(right), rcond=1e-9)[0].reshape(2, 3))
         affine = affine + change
         # Pixels that left the image or are outliers count as uncorrelated.
         seen = s[cell_kernels.W].sum() / np.count_nonzero(np.isfinite(level.values))
@@ -98,16 +96,6 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
         if np.abs(change @ corners).max() < SETTLED * scale:
             break
     return affine, correlation
-
-
-def _solve_affine(sums: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Solve the normal equations of a change of the affine motion (2, 3) from the sums of all cells."""
-    normal = np.empty((6, 6))
-    gxx, gxy, gyy = cell_kernels.GXX, cell_kernels.GXY, cell_kernels.GYY
-    for a, b, channel in ((0, 0, gxx), (0, 1, gxy), (1, 0, gxy), (1, 1, gyy)):
-        normal[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = np.einsum("iyx,jyx,yx->ij", basis, basis, sums[channel])
-    right = [np.einsum("iyx,yx->i", basis, sums[channel]) for channel in (cell_kernels.GXE, cell_kernels.GYE)]
-    return np.asarray(np.linalg.lstsq(normal, np.concatenate(right), rcond=1e-9)[0].reshape(2, 3))
 
 
 def _correlate(sums: np.ndarray, seen: float) -> float:

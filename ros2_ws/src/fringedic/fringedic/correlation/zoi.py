@@ -20,12 +20,12 @@ from fringedic.correlation.agreement import SMALLEST_EXPLAINED, adjust_determina
 from fringedic.correlation.dense import TEXTURE
 from fringedic.correlation.start import find_correlation_peak
 
-PASSES = 5  # of the moving window; test_zones_reach_table_1
+PASSES = 5  # the window moves so many times; test_zones_reach_table_1
 OUTLIER = 3  # weighted standard deviations from which on a phase is erroneous (section 2.2)
 # Gradient energy that rounding to grey levels leaves across a texture of one direction, of the whole: up to 2e-4 in
 # test_texture_of_one_direction, where noise makes up to 1.7 times the expected energy.
 ROUNDING = 3e-4
-BATCH = 256  # zones at a time: their spectra stay in the cache
+BATCH = 256  # the spectra of so many zones stay in the cache
 
 
 def measure_zones(
@@ -100,21 +100,16 @@ def _transform(zones: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.nda
     return scipy.fft.rfft2(w * (zones - mean[:, None, None])), w
 
 
-def _list_frequencies(window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the angular frequencies (k_x, k_y) of a half plane, with one of each pair +-k, and their places."""
-    kx = 2 * np.pi * np.fft.rfftfreq(window)[None, :]
-    ky = 2 * np.pi * np.fft.fftfreq(window)[:, None]
-    used = ((kx > 0) | (ky > 0)) & (kx < np.pi) & (np.abs(ky) < np.pi)
-    kx, ky = np.broadcast_arrays(kx, ky)
-    return kx[used], ky[used], used
-
-
 def _fit(
     zones_f: np.ndarray, zones_g: np.ndarray, corner: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Return displacement and uncertainty (zone, 2) as (x, y) of complete zones, and the number of measurable ones."""
     count, window = zones_f.shape[0], zones_f.shape[-1]
-    kx, ky, used = _list_frequencies(window)
+    kx = 2 * np.pi * np.fft.rfftfreq(window)[None, :]
+    ky = 2 * np.pi * np.fft.fftfreq(window)[:, None]
+    used = ((kx > 0) | (ky > 0)) & (kx < np.pi) & (np.abs(ky) < np.pi)
+    kx, ky = np.broadcast_arrays(kx, ky)
+    kx, ky = kx[used], ky[used]
     middle = np.zeros((count, 2))
     spectrum_f, w = _transform(zones_f.astype(np.float64), middle)
     limits = np.array(zones_g.shape[:2]) - 1

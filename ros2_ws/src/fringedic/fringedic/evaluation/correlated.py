@@ -6,7 +6,7 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import label
 
-_CORRELATED = 0.1  # coefficient below which the estimate is noise
+_CORRELATED = 0.1  # a smaller coefficient is the noise of its estimate
 
 
 def correlated_points(errors: np.ndarray) -> float:

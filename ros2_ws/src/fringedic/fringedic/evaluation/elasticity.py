@@ -30,8 +30,8 @@ from fringedic.wording.arguments import dataset as dataset_of
 
 _STRAINS = ("e_11", "e_22")
 _SIGMAS = ("sigma_e_11", "sigma_e_22")
-_FEWEST_STEPS = 3  # of a straight line with an uncertainty from its residuals
-_CONVERGED = 1e-12  # relative change of the slope
+_FEWEST_STEPS = 3  # a straight line with an uncertainty from its residuals needs so many
+_CONVERGED = 1e-12  # the slope has converged when its relative change is smaller
 _SMALLEST = 1e-12  # noise of a strain, so that results without noise have a weight
 _ITERATIONS = 100
 _EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
@@ -188,7 +188,12 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
     ranges = [float(np.nanmax(curve[name]) - np.nanmin(curve[name])) for name in _STRAINS]
     axial, transverse = _STRAINS if ranges[0] > ranges[1] else _STRAINS[::-1]
     used = (curve[axial] >= strain[0]) & (curve[axial] <= strain[1]) & np.isfinite(curve[transverse])
-    points, reference = _of_one_reference(curve.isel(step=np.flatnonzero(used.values)))
+    points = curve.isel(step=np.flatnonzero(used.values))
+    reference = -1
+    if "reference_step" in points and points.sizes["step"]:
+        references, counts = np.unique(points["reference_step"].values, return_counts=True)
+        reference = int(references[np.argmax(counts)])
+        points = points.isel(step=np.flatnonzero(points["reference_step"].values == reference))
     steps = points.sizes["step"]
     if steps < _FEWEST_STEPS:
         return ElasticConstants(axial, steps, reference_step=reference)
@@ -198,25 +203,13 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
     if "stress" in points and np.isfinite(points["stress"]).all():
         force, stress = points["force"].values, points["stress"].values
         scale = float(np.ptp(stress) / np.ptp(force)) if np.ptp(force) else math.nan
-        modulus, sigma_modulus = _slope(along, _Axis(stress, scale * _force_noise(points, sigma_force)))
+        if "force_sigma" not in points:
+            force_noise = np.full(points.sizes["step"], sigma_force)
+        else:
+            known = points["force_sigma"].values
+            force_noise = np.where(np.isfinite(known), np.hypot(sigma_force, known), sigma_force)
+        modulus, sigma_modulus = _slope(along, _Axis(stress, scale * force_noise))
     return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio, reference)
-
-
-def _force_noise(points: xr.Dataset, given: float) -> np.ndarray:
-    """Return the standard uncertainty of each force [N]: the given one, and that of its signal if it is known."""
-    if "force_sigma" not in points:
-        return np.full(points.sizes["step"], given)
-    known = points["force_sigma"].values
-    return np.where(np.isfinite(known), np.hypot(given, known), given)
-
-
-def _of_one_reference(points: xr.Dataset) -> tuple[xr.Dataset, int]:
-    """Return the points of the reference step that most of them have, and its number, -1 if it is not known."""
-    if "reference_step" not in points or not points.sizes["step"]:
-        return points, -1
-    references, counts = np.unique(points["reference_step"].values, return_counts=True)
-    reference = int(references[np.argmax(counts)])
-    return points.isel(step=np.flatnonzero(points["reference_step"].values == reference)), reference
 
 
 class _Axis(NamedTuple):
@@ -236,20 +229,15 @@ def _means(strains: np.ndarray, sigmas: np.ndarray, inside: np.ndarray) -> list[
             means.append(np.nan)
             uncertainties.append(np.nan)
             continue
-        together = min(correlated_points(_without_plane(strain, measured)), count)
+        row, column = np.nonzero(measured)
+        design = np.column_stack([np.ones(row.size), row, column]).astype(float)
+        known = strain[measured].astype(float)
+        rest = np.full(strain.shape, np.nan)
+        rest[measured] = known - design @ np.linalg.lstsq(design, known, rcond=None)[0]
+        together = min(correlated_points(rest), count)
         means.append(float(strain[measured].mean(dtype=float)))
         uncertainties.append(float(np.sqrt(np.mean(sigma[measured].astype(float) ** 2) * together / count)))
     return means + uncertainties
-
-
-def _without_plane(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the deviation of the measured points from their plane, NaN elsewhere."""
-    row, column = np.nonzero(measured)
-    design = np.column_stack([np.ones(row.size), row, column]).astype(float)
-    known = values[measured].astype(float)
-    rest = np.full(values.shape, np.nan)
-    rest[measured] = known - design @ np.linalg.lstsq(design, known, rcond=None)[0]
-    return rest
 
 
 def _noise(curve: xr.Dataset, name: str) -> np.ndarray:

@@ -93,7 +93,7 @@ def noise_floor(name: str, maps: np.ndarray, sigmas: np.ndarray | None = None) -
     return NoiseFloor(
         name=name,
         spatial=float(values.std(axis=1, ddof=1).mean()),
-        temporal=_temporal(values),
+        temporal=float(np.sqrt(values.var(axis=0, ddof=1).mean())) if len(values) > 1 else np.nan,
         bias=float(values.mean()),
         predicted=np.nan if sigmas is None else _rms(sigmas[:, common]),
         points=int(common.sum()),
@@ -205,11 +205,6 @@ def check_static_steps(dataset: xr.Dataset, steps: Sequence[int]) -> list[int]:
 
 def _listed(steps: Iterable[int]) -> str:
     return ", ".join(str(int(step)) for step in steps)
-
-
-def _temporal(values: np.ndarray) -> float:
-    """Return the standard deviation over the steps, root mean square over the points; `values` is (step, point)."""
-    return float(np.sqrt(values.var(axis=0, ddof=1).mean())) if len(values) > 1 else np.nan
 
 
 def _rms(values: np.ndarray) -> float:

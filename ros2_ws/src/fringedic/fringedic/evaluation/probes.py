@@ -18,6 +18,7 @@ from fringedic.errors import DatasetError
 from fringedic.evaluation.motion import motion_of
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Point, Region
+from fringedic.surface.planes import spacing_of
 from fringedic.wording.arguments import check_arguments, number, of_type, optional, several, text, whole
 from fringedic.wording.arguments import dataset as dataset_of
 
@@ -110,7 +111,7 @@ def _gauge_subset(dataset: xr.Dataset, point: Point, side: float) -> _Indices:
         near = np.flatnonzero(np.abs(positions - centre) <= side / 2)
         if not near.size:
             nearest = int(np.argmin(np.abs(positions - centre)))
-            spacing = abs(float(positions[1] - positions[0])) if len(positions) > 1 else 1.0
+            spacing = abs(spacing_of(positions))
             if abs(positions[nearest] - centre) > spacing / 2:
                 raise DatasetError(f"the point {point} px (column, row) lies outside the result")
             near = np.array([nearest])
@@ -264,7 +265,22 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     for maps in maps_by_step(dataset, names):
         chosen = [values[inside] for values in maps]
         chosen = [values[np.isfinite(values)].astype(float) for values in chosen]
-        statistics.append([_statistics(values) for values in chosen])
+        statistics.append(
+            [
+                (
+                    (np.nan,) * len(_STATISTICS)
+                    if not values.size
+                    else (
+                        float(values.mean()),
+                        float(values.std(ddof=1)) if values.size > 1 else np.nan,
+                        float(values.min()),
+                        float(np.median(values)),
+                        float(values.max()),
+                    )
+                )
+                for values in chosen
+            ]
+        )
         measured.append([values.size / np.count_nonzero(inside) for values in chosen])
     stepwise = "step" in dataset.dims
     table, fraction = np.array(statistics), np.array(measured)
@@ -280,18 +296,6 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     fields["measured_fraction"] = ((*step, "map"), fraction if stepwise else fraction[0], {"units": "1"})
     coordinates = {"statistic": list(_STATISTICS), "map": list(names)}
     return xr.Dataset(fields, {**coordinates, "step": dataset.step} if stepwise else coordinates)
-
-
-def _statistics(values: np.ndarray) -> tuple[float, ...]:
-    if not values.size:
-        return (np.nan,) * len(_STATISTICS)
-    return (
-        float(values.mean()),
-        float(values.std(ddof=1)) if values.size > 1 else np.nan,
-        float(values.min()),
-        float(np.median(values)),
-        float(values.max()),
-    )
 
 
 def points_in(region: Region, dataset: xr.Dataset) -> np.ndarray:

@@ -7,7 +7,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from fringedic.errors import DatasetError
-from fringedic.evaluation.motion import Motion, motion_of
+from fringedic.evaluation.motion import motion_of
 from fringedic.evaluation.probes import points_in
 from fringedic.frames.region import Region
 from fringedic.wording.arguments import check_arguments, of_type, optional
@@ -82,7 +82,23 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
         remaining.append((back - before).astype(np.float32))
         rotations.append(Rotation.from_matrix(rotation).as_rotvec())
         translations.append(translation)
-    return _result(motion, np.array(remaining), np.array(rotations), np.array(translations))
+    left = np.array(remaining)
+    dataset = motion.dataset
+    stepwise = "step" in dataset.dims
+    if motion.spatial:
+        fields: dict[str, object] = {name: dataset[name] for name in _POSITION}
+        moved = dict(zip(_DISPLACEMENT, left.swapaxes(0, 1), strict=True))
+    else:
+        fields = {}
+        moved = {name: sign * left[:, place] / motion.scale for place, (name, sign) in enumerate(_IN_IMAGE.items())}
+    shape = tuple(dataset[next(iter(moved))].dims)
+    for name, values in moved.items():
+        fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
+    axes = ("step", "axis") if stepwise else ("axis",)
+    for name, unit, table in (("rotation", "rad", rotations), ("translation", motion.unit, translations)):
+        fields[name] = (axes, table if stepwise else table[0], {"units": unit})
+    coordinates = dataset[[next(iter(moved))]].coords
+    return xr.Dataset(fields, {**coordinates, "axis": list("xyz")}, dataset.attrs)
 
 
 def _fit_motion(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,24 +109,3 @@ def _fit_motion(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.n
     # a reflection would fit a plane equally well
     rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
     return rotation, goal - rotation @ centre
-
-
-def _result(motion: Motion, remaining: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> xr.Dataset:
-    dataset = motion.dataset
-    stepwise = "step" in dataset.dims
-    if motion.spatial:
-        fields: dict[str, object] = {name: dataset[name] for name in _POSITION}
-        moved = dict(zip(_DISPLACEMENT, remaining.swapaxes(0, 1), strict=True))
-    else:
-        fields = {}
-        moved = {
-            name: sign * remaining[:, place] / motion.scale for place, (name, sign) in enumerate(_IN_IMAGE.items())
-        }
-    shape = tuple(dataset[next(iter(moved))].dims)
-    for name, values in moved.items():
-        fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
-    axes = ("step", "axis") if stepwise else ("axis",)
-    for name, unit, table in (("rotation", "rad", rotations), ("translation", motion.unit, translations)):
-        fields[name] = (axes, table if stepwise else table[0], {"units": unit})
-    coordinates = dataset[[next(iter(moved))]].coords
-    return xr.Dataset(fields, {**coordinates, "axis": list("xyz")}, dataset.attrs)

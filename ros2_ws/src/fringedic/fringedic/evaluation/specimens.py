@@ -122,7 +122,9 @@ def _step_maps(steps: Sequence[xr.Dataset], names: list[str]) -> xr.Dataset:
     """Return `specimen_maps` of one step of each experiment."""
     maps = steps[0][[]].copy()
     for name in names:
-        values, sigmas = ([_loaded(each[part]) for each in steps] for part in (name, str(sigma_of(name))))
+        values, sigmas = (
+            [each[part].transpose(*MAP_DIMENSIONS[1:]).load() for each in steps] for part in (name, str(sigma_of(name)))
+        )
         mean, spread, uncertainty = _moments([each.values for each in values], [each.values for each in sigmas])
         measured = np.isfinite(mean)
         template = values[0]
@@ -134,10 +136,6 @@ def _step_maps(steps: Sequence[xr.Dataset], names: list[str]) -> xr.Dataset:
         means = [each.values[measured].mean() if measured.any() else np.nan for each in values]
         maps[f"means_{name}"] = ("specimen", np.array(means, float))
     return maps
-
-
-def _loaded(step: xr.DataArray) -> xr.DataArray:
-    return step.transpose(*MAP_DIMENSIONS[1:]).load()
 
 
 def _moments(values: Sequence[np.ndarray], sigmas: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

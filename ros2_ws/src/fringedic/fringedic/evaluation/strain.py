@@ -58,14 +58,11 @@ def strain_of_step(dataset: xr.Dataset, window: int, *, step: int = -1, measures
         raise DatasetError(
             f"measures is {list(measures)}: images alone give the von Mises strain only, which needs no measure"
         )
-    return flat_strain(_displacement(one), window=window, pixel_size=one.attrs.get("pixel_size"))
-
-
-def _displacement(step: xr.Dataset) -> xr.Dataset:
-    """Return a step of a series of images as `fringedic.measure_displacement` returns it."""
-    if "displacement_sigma_x" not in step:
-        return step
-    parameters = json.loads(step.attrs.get("parameters", "[]"))
-    attributes = {"window_px": parameters[-1]["parameters"]["dic"]["window"]} if parameters else {}
-    names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
-    return step[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)
+    if "displacement_sigma_x" not in one:
+        displacement = one
+    else:
+        parameters = json.loads(one.attrs.get("parameters", "[]"))
+        attributes = {"window_px": parameters[-1]["parameters"]["dic"]["window"]} if parameters else {}
+        names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
+        displacement = one[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)
+    return flat_strain(displacement, window=window, pixel_size=one.attrs.get("pixel_size"))

@@ -70,28 +70,24 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
         The truth lacks the step or the pixels, or is damaged.
     """
     with _damage_named(truth.encoding.get("source", "the truth")):
-        return _truth_errors(dataset, truth, step)
-
-
-def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Dataset:
-    if not 0 <= step < truth.sizes["step"]:
-        raise DatasetError(f"the truth has {truth.sizes['step']} steps, step {step} is not among them")
-    try:
-        exact = truth.isel(step=step).sel(row=dataset.row.values, column=dataset.column.values)
-    except KeyError as error:
-        raise DatasetError(f"the truth lacks pixels of the dataset: {error}") from error
-    measured = dataset.sel(step=step)
-    visible = exact["valid"].astype(bool).values & np.isfinite(exact["u"].values)
-    if "reference_step" in measured and not _counts_from(truth, int(measured["reference_step"])):
-        visible[:] = False
-    errors = {name: np.where(visible, measured[name].values - exact[name].values, np.nan) for name in "uvw"}
-    errors["z"] = measured["shape_z"].values - exact["z_deformed"].values
-    coordinates = {"row": dataset.row, "column": dataset.column}
-    maps = {
-        f"error_{name}": (("row", "column"), values, {"units": "m", "long_name": f"error of {name}"})
-        for name, values in errors.items()
-    }
-    return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
+        if not 0 <= step < truth.sizes["step"]:
+            raise DatasetError(f"the truth has {truth.sizes['step']} steps, step {step} is not among them")
+        try:
+            exact = truth.isel(step=step).sel(row=dataset.row.values, column=dataset.column.values)
+        except KeyError as error:
+            raise DatasetError(f"the truth lacks pixels of the dataset: {error}") from error
+        measured = dataset.sel(step=step)
+        visible = exact["valid"].astype(bool).values & np.isfinite(exact["u"].values)
+        if "reference_step" in measured and not _counts_from(truth, int(measured["reference_step"])):
+            visible[:] = False
+        errors = {name: np.where(visible, measured[name].values - exact[name].values, np.nan) for name in "uvw"}
+        errors["z"] = measured["shape_z"].values - exact["z_deformed"].values
+        coordinates = {"row": dataset.row, "column": dataset.column}
+        maps = {
+            f"error_{name}": (("row", "column"), values, {"units": "m", "long_name": f"error of {name}"})
+            for name, values in errors.items()
+        }
+        return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
 
 
 def _counts_from(truth: xr.Dataset, step: int) -> bool:

@@ -133,7 +133,13 @@ def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]
     differences = [
         Difference(name, first.get(name), second.get(name)) for name in names if first.get(name) != second.get(name)
     ]
-    return differences + _differing_references(one, other)
+    if all("reference_step" in each for each in (one, other)):
+        steps = np.intersect1d(one["step"], other["step"])
+        steps = steps[references_differ([one, other], steps)]
+        if steps.size:
+            values = [np.unique(each["reference_step"].sel(step=steps)).astype(int).tolist() for each in (one, other)]
+            differences.append(Difference("reference_step", *(each[0] if len(each) == 1 else each for each in values)))
+    return differences
 
 
 def references_differ(experiments: Sequence[xr.Dataset], steps: Sequence[int] | np.ndarray) -> np.ndarray:
@@ -166,17 +172,17 @@ def common_maps(one: xr.Dataset, other: xr.Dataset) -> list[str]:
     names = [
         name
         for name in COMPARED
-        if all(_is_map(dataset, each) for dataset in (one, other) for each in (name, str(sigma_of(name))))
+        if all(
+            (each in dataset and set(dataset[each].dims) == set(MAP_DIMENSIONS) and dataset[each].dtype.kind == "f")
+            for dataset in (one, other)
+            for each in (name, str(sigma_of(name)))
+        )
     ]
     if not names:
         raise DatasetError(f"the two experiments have none of the maps {', '.join(COMPARED)} in common")
     if not all(np.intersect1d(one[axis], other[axis]).size for axis in ("row", "column")):
         raise DatasetError("the two experiments have no point in common: their images or spacings differ")
     return names
-
-
-def _is_map(dataset: xr.Dataset, name: str) -> bool:
-    return name in dataset and set(dataset[name].dims) == set(MAP_DIMENSIONS) and dataset[name].dtype.kind == "f"
 
 
 def _each_step(one: xr.Dataset, other: xr.Dataset, steps: list[int], names: list[str]) -> Iterator[xr.Dataset]:
@@ -217,18 +223,6 @@ def _statistics(maps: xr.Dataset, name: str) -> list[float]:
         float(np.sqrt(np.mean(known**2))) if known.size else np.nan,
         float(np.mean(np.abs(known) <= 2)) if known.size else np.nan,
     ]
-
-
-def _differing_references(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
-    """Return the reference steps, each experiment's in ascending order, of the common steps where they differ."""
-    if not all("reference_step" in each for each in (one, other)):
-        return []
-    steps = np.intersect1d(one["step"], other["step"])
-    steps = steps[references_differ([one, other], steps)]
-    if not steps.size:
-        return []
-    values = [np.unique(each["reference_step"].sel(step=steps)).astype(int).tolist() for each in (one, other)]
-    return [Difference("reference_step", *(each[0] if len(each) == 1 else each for each in values))]
 
 
 def _flat_attributes(dataset: xr.Dataset) -> dict[str, Any]:

@@ -166,7 +166,29 @@ class RecordingPlayer:
 
     def spin_once(self) -> None:
         """Answer the viewers, and send what is due."""
-        self._answer_viewers()
+        watched = []
+        while not self.server.requests.empty():
+            kind, content = self.server.requests.get()
+            if kind == "watch":
+                watched.append(content)
+                self._watched.add(content)
+            elif kind == "leave" and not self.server.is_watched(content):
+                self._watched.discard(content)
+            elif kind == "play":
+                from foxglove.websocket import PlaybackCommand
+
+                self._request_id, self._speed = content.request_id, content.playback_speed or 1.0
+                self._is_playing, self._has_played = content.playback_command == PlaybackCommand.Play, True
+                if content.seek_time is not None:
+                    self._seek(content.seek_time)
+                elif self._is_playing and self._time >= self._last:
+                    self._seek(self._first)
+                self._show_time(sought=content.seek_time is not None)
+        due = self._last + 1 if self._upcoming is None else self._upcoming.log_time
+        for message in self._reader.newest(watched, due):
+            self._send(message)
+        if watched and not self._has_played:
+            self._is_playing = self._has_played = True
         now = self._clock()
         passed, self._seen = now - self._seen, now
         if self._is_playing:
@@ -177,34 +199,6 @@ class RecordingPlayer:
             self._is_playing = self._time < self._last
             self._show_time(sought=False)
         time.sleep(TICK_S)
-
-    def _answer_viewers(self) -> None:
-        watched = []
-        while not self.server.requests.empty():
-            kind, content = self.server.requests.get()
-            if kind == "watch":
-                watched.append(content)
-                self._watched.add(content)
-            elif kind == "leave" and not self.server.is_watched(content):
-                self._watched.discard(content)
-            elif kind == "play":
-                self._control(content)
-        due = self._last + 1 if self._upcoming is None else self._upcoming.log_time
-        for message in self._reader.newest(watched, due):
-            self._send(message)
-        if watched and not self._has_played:
-            self._is_playing = self._has_played = True
-
-    def _control(self, request: Any) -> None:
-        from foxglove.websocket import PlaybackCommand
-
-        self._request_id, self._speed = request.request_id, request.playback_speed or 1.0
-        self._is_playing, self._has_played = request.playback_command == PlaybackCommand.Play, True
-        if request.seek_time is not None:
-            self._seek(request.seek_time)
-        elif self._is_playing and self._time >= self._last:
-            self._seek(self._first)
-        self._show_time(sought=request.seek_time is not None)
 
     def _seek(self, time_ns: int) -> None:
         self._time = min(max(time_ns, self._first), self._last)

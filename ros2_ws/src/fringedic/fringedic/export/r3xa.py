@@ -34,33 +34,58 @@ def r3xa_document(dataset: xr.Dataset) -> dict[str, Any]:
     specimen, hardware = entered.get("specimen", {}), entered.get("hardware", {})
     name = experiment_name(dataset)
     date = {"date": str(np.datetime_as_string(first_time(dataset), unit="D"))} if "time" in dataset else {}
+    section = specimen.get("section_mm2")
+    setting: dict[str, Any] = {
+        "id": "specimen",
+        "kind": "settings/specimen",
+        "title": specimen.get("name") or name,
+        "description": specimen.get("material", ""),
+        "sizes": [] if section is None else [_quantity(section, "mm2", "section")],
+    }
+    spatial = "w" in dataset
+    times: dict[str, Any] = {"timestamps": []}
+    if "time" in dataset:
+        begin = float(first_time(dataset).astype("datetime64[ns]").astype(np.int64)) * 1e-9
+        times = {"time_reference": begin, "timestamps": seconds(dataset).tolist()}
     return {
         "title": name,
         "description": specimen.get("notes") or f"Experiment {name}, measured by {known.get('software', 'fringedic')}",
         "version": VERSION,
         "authors": specimen.get("operator", ""),
         **date,
-        "settings": [_specimen(name, specimen)],
-        "data_sources": [_camera(dataset, known, hardware), _analysis(dataset, known)],
-        "data_sets": [_results(dataset)],
+        "settings": [setting | ({"patterning_technique": specimen["pattern"]} if specimen.get("pattern") else {})],
+        "data_sources": [
+            _camera(dataset, known, hardware),
+            {
+                "id": "analysis",
+                "kind": "data_sources/generic",
+                "title": "shape and 3D displacement" if spatial else "in-plane displacement",
+                "description": json.dumps(known.get("parameters", [])),
+                "output_components": 3 if spatial else 2,
+                "output_dimension": "surface",
+                "output_units": [{"kind": "unit", "unit": "m" if "u" in dataset else "px"}],
+                "manufacturer": "",
+                "model": f"{known.get('software', '')}, commit {known.get('commit', '')}",
+            },
+        ],
+        "data_sets": [
+            {
+                "id": "results",
+                "kind": "data_sets/list",
+                "title": "maps of every step",
+                "description": "one labelled dataset; each step is one index of its dimension 'step'",
+                "file_type": "application/x-netcdf",
+                "data_sources": ["camera", "analysis"],
+                **times,
+                "data": [f"step {int(number)}" for number in dataset["step"].values],
+            }
+        ],
     }
 
 
 def _quantity(value: float, unit: str, title: str = "") -> dict[str, Any]:
     entry: dict[str, Any] = {"kind": "unit", "unit": unit, "value": float(value)}
     return entry | ({"title": title} if title else {})
-
-
-def _specimen(experiment: str, entered: dict[str, Any]) -> dict[str, Any]:
-    section = entered.get("section_mm2")
-    setting: dict[str, Any] = {
-        "id": "specimen",
-        "kind": "settings/specimen",
-        "title": entered.get("name") or experiment,
-        "description": entered.get("material", ""),
-        "sizes": [] if section is None else [_quantity(section, "mm2", "section")],
-    }
-    return setting | ({"patterning_technique": entered["pattern"]} if entered.get("pattern") else {})
 
 
 def _camera(dataset: xr.Dataset, known: dict[str, Any], hardware: dict[str, Any]) -> dict[str, Any]:
@@ -98,35 +123,3 @@ def _camera(dataset: xr.Dataset, known: dict[str, Any], hardware: dict[str, Any]
         source["focal_length"] = _quantity(hardware["focal_length_mm"], "mm")
     entered = {"lens": "lens", "aperture": "aperture", "filters": "filter"}
     return source | {theirs: hardware[ours] for ours, theirs in entered.items() if hardware.get(ours)}
-
-
-def _analysis(dataset: xr.Dataset, known: dict[str, Any]) -> dict[str, Any]:
-    spatial = "w" in dataset
-    return {
-        "id": "analysis",
-        "kind": "data_sources/generic",
-        "title": "shape and 3D displacement" if spatial else "in-plane displacement",
-        "description": json.dumps(known.get("parameters", [])),
-        "output_components": 3 if spatial else 2,
-        "output_dimension": "surface",
-        "output_units": [{"kind": "unit", "unit": "m" if "u" in dataset else "px"}],
-        "manufacturer": "",
-        "model": f"{known.get('software', '')}, commit {known.get('commit', '')}",
-    }
-
-
-def _results(dataset: xr.Dataset) -> dict[str, Any]:
-    times: dict[str, Any] = {"timestamps": []}
-    if "time" in dataset:
-        begin = float(first_time(dataset).astype("datetime64[ns]").astype(np.int64)) * 1e-9
-        times = {"time_reference": begin, "timestamps": seconds(dataset).tolist()}
-    return {
-        "id": "results",
-        "kind": "data_sets/list",
-        "title": "maps of every step",
-        "description": "one labelled dataset; each step is one index of its dimension 'step'",
-        "file_type": "application/x-netcdf",
-        "data_sources": ["camera", "analysis"],
-        **times,
-        "data": [f"step {int(number)}" for number in dataset["step"].values],
-    }

@@ -169,22 +169,19 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
         }
         columns |= _maps(step, names, valid)
         comments = ["units mm", *(f"{name} {value}" for name, value in step_numbers(step).items())]
-        _save_ply(folder / f"step_{int(step.step):03d}.ply", columns, quads, comments)
+        file = folder / f"step_{int(step.step):03d}.ply"
+        header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+        header += [f"element vertex {len(columns['x'])}", *(f"property float {name}" for name in columns)]
+        header += [f"element face {len(quads)}", "property list uchar int vertex_indices", "end_header"]
+        vertices = np.stack(list(columns.values()), axis=-1).astype("<f4")
+        faces = np.empty(len(quads), np.dtype([("count", "u1"), ("corners", "<i4", 4)]))
+        faces["count"], faces["corners"] = 4, quads
+        with open(file, "wb") as stream:
+            stream.write(("\n".join(header) + "\n").encode("ascii"))
+            stream.write(vertices.tobytes())
+            stream.write(faces.tobytes())
     write_origin(dataset, folder)
     return skipped
-
-
-def _save_ply(file: Path, columns: dict[str, np.ndarray], quads: np.ndarray, comments: Iterable[str]) -> None:
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    header += [f"element vertex {len(columns['x'])}", *(f"property float {name}" for name in columns)]
-    header += [f"element face {len(quads)}", "property list uchar int vertex_indices", "end_header"]
-    vertices = np.stack(list(columns.values()), axis=-1).astype("<f4")
-    faces = np.empty(len(quads), np.dtype([("count", "u1"), ("corners", "<i4", 4)]))
-    faces["count"], faces["corners"] = 4, quads
-    with open(file, "wb") as stream:
-        stream.write(("\n".join(header) + "\n").encode("ascii"))
-        stream.write(vertices.tobytes())
-        stream.write(faces.tobytes())
 
 
 def _float32(values: np.ndarray, unit: float) -> np.ndarray:

@@ -56,7 +56,21 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
         file = folder / f"step_{int(number):03d}.csv"
         np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding=_WITH_MARK)
     with open(folder / "steps.csv", "w", newline="", encoding=_WITH_MARK) as stream:
-        csv.writer(stream).writerows(_steps_table(dataset))
+        scalars = _scalars(dataset)
+        titles = ["step"]
+        series: list[list[Any]] = [dataset["step"].values.tolist()]
+        if "time" in dataset:
+            titles.append("time [s]")
+            series.append(seconds(dataset).tolist())
+        for name in scalars:
+            unit = _SCALAR_UNITS.get(name) or people_unit(dataset[name])
+            titles.append(f"{name} [{unit.text}]")
+            series.append([float(f"{value / unit.factor:.9g}") for value in dataset[name].values])
+        for name in (*STEP_NUMBERS, "error"):
+            if name in dataset:
+                titles.append(name)
+                series.append(dataset[name].values.tolist())
+        csv.writer(stream).writerows([titles, *(list(line) for line in zip(*series, strict=True))])
     write_origin(dataset, folder)
     return skipped
 
@@ -64,25 +78,6 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
 def write_origin(dataset: xr.Dataset, folder: Path) -> None:
     """Write ``metadata.json`` for files that cannot contain it."""
     (folder / "metadata.json").write_text(json.dumps(origin_of(dataset), indent=1), encoding="utf-8")
-
-
-def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
-    """Return heading and one line per step, in the units of people."""
-    scalars = _scalars(dataset)
-    heading = ["step"]
-    columns: list[list[Any]] = [dataset["step"].values.tolist()]
-    if "time" in dataset:
-        heading.append("time [s]")
-        columns.append(seconds(dataset).tolist())
-    for name in scalars:
-        unit = _SCALAR_UNITS.get(name) or people_unit(dataset[name])
-        heading.append(f"{name} [{unit.text}]")
-        columns.append([float(f"{value / unit.factor:.9g}") for value in dataset[name].values])
-    for name in (*STEP_NUMBERS, "error"):
-        if name in dataset:
-            heading.append(name)
-            columns.append(dataset[name].values.tolist())
-    return [heading, *(list(line) for line in zip(*columns, strict=True))]
 
 
 def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:

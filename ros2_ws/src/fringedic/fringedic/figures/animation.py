@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +20,6 @@ from fringedic.figures.panels import Panel
 from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
     from PIL import Image
 
@@ -59,7 +57,12 @@ def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
     with optional_import("figures"):
         from PIL import Image
     drawn = _frames(dataset, panel)
-    palette = _palette(drawn.figure.axes[0].images[0].get_cmap())
+    colours = drawn.figure.axes[0].images[0].get_cmap()
+    from PIL import Image
+
+    shades = np.concatenate([colours(np.linspace(0, 1, 256 - _GREYS))[:, :3], np.linspace([0] * 3, [1] * 3, _GREYS)])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())
     frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in drawn.images()]
     stream = io.BytesIO()
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
@@ -107,52 +110,31 @@ class _Frames:
         for step in self.steps:
             if step != self.steps[0]:
                 redraw_map(self.figure, self.dataset.sel(step=step), self.panel, title=_title(step, self.panel))
-            yield _drawn(canvas)
+            from PIL import Image
+
+            canvas.draw()  # type: ignore[no-untyped-call]
+            pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+            yield Image.fromarray(pixels).convert("RGB")
 
 
 def _frames(dataset: xr.Dataset, panel: Panel) -> _Frames:
     with optional_import("figures"):
         import matplotlib  # noqa: F401
-    steps = _measured(dataset, panel.name)
+    name = panel.name
+    if name not in dataset:
+        steps = []
+    else:
+        steps = [int(step) for step in dataset["step"].values if np.isfinite(dataset[name].sel(step=step).values).any()]
     if not steps:
         raise DatasetError(f"no step has the map {panel.name}")
     steps = steps[:: -(-len(steps) // FRAMES)]
-    limits = _limits(dataset, panel, steps)
+    factor = people_unit(dataset[panel.name]).factor
+    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / factor for step in steps]
+    low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
+    limits = (low, high) if high > low else (low - 0.5, low + 0.5)
     figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
     return _Frames(dataset, panel, steps, figure)
 
 
-def _drawn(canvas: FigureCanvasAgg) -> Image.Image:
-    from PIL import Image
-
-    canvas.draw()  # type: ignore[no-untyped-call]
-    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    return Image.fromarray(pixels).convert("RGB")
-
-
-def _palette(colours: Colormap) -> Image.Image:
-    """Return a picture with the colours of a map, and greys for axes and texts."""
-    from PIL import Image
-
-    shades = np.concatenate([colours(np.linspace(0, 1, 256 - _GREYS))[:, :3], np.linspace([0] * 3, [1] * 3, _GREYS)])
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())
-    return palette
-
-
 def _title(step: int, panel: Panel) -> str:
     return f"step {step}: {panel.title}"
-
-
-def _measured(dataset: xr.Dataset, name: str) -> list[int]:
-    if name not in dataset:
-        return []
-    return [int(step) for step in dataset["step"].values if np.isfinite(dataset[name].sel(step=step).values).any()]
-
-
-def _limits(dataset: xr.Dataset, panel: Panel, steps: Sequence[int]) -> tuple[float, float]:
-    """Return the ends of the colour scale over all steps, in the unit of the picture."""
-    factor = people_unit(dataset[panel.name]).factor
-    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / factor for step in steps]
-    low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
-    return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -70,7 +70,18 @@ def draw_geometry(
     for side in (-half, half):
         axes.plot([0, side], [h0, 0], color=_CAMERA, lw=0.8, alpha=0.7)
     across = rig.projector_width if vertical else rig.projector_height
-    _projector(axes, rig, (d, hp), math.atan(0.5 * across / rig.projector_focal_length), vertical)
+    place = (d, hp)
+    half_angle = math.atan(0.5 * across / rig.projector_focal_length)
+    forward = -rig.projector_axes[:, 2]
+    direction = math.atan2(forward[2], forward[0 if vertical else 1])
+    for side in (-half_angle, half_angle):
+        slope = direction + side
+        length = -place[1] / math.sin(slope)
+        axes.plot(
+            [place[0], place[0] + length * math.cos(slope)], [place[1], 0], color=_PROJECTOR, lw=0.8, alpha=0.7
+        )  # fmt: skip
+    aim = (place[0] + math.cos(direction), place[1] + math.sin(direction))
+    _device(axes, place, aim, 0.09 * 1e3 * rig.camera_distance, _PROJECTOR, "projector")
     _device(axes, (0.0, h0), (0.0, 0.0), 0.09 * h0, _CAMERA, "camera")
     towards, sides = math.copysign(1.0, d), ("right", "left") if d > 0 else ("left", "right")
     beside, gap = -1.15 * towards * reach, 0.03 * towards * h0
@@ -97,20 +108,6 @@ def draw_geometry(
     )
     axes.margins(0.06)
     return figure
-
-
-def _projector(axes: Axes, rig: RigModel, place: tuple[float, float], half_angle: float, vertical: bool) -> None:
-    """Draw the projector's body and its light down to the reference plane."""
-    forward = -rig.projector_axes[:, 2]
-    direction = math.atan2(forward[2], forward[0 if vertical else 1])
-    for side in (-half_angle, half_angle):
-        slope = direction + side
-        length = -place[1] / math.sin(slope)
-        axes.plot(
-            [place[0], place[0] + length * math.cos(slope)], [place[1], 0], color=_PROJECTOR, lw=0.8, alpha=0.7
-        )  # fmt: skip
-    aim = (place[0] + math.cos(direction), place[1] + math.sin(direction))
-    _device(axes, place, aim, 0.09 * 1e3 * rig.camera_distance, _PROJECTOR, "projector")
 
 
 def _device(

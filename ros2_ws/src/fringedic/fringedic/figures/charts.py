@@ -17,8 +17,8 @@ with optional_import("report"):
 MILLI, MICRO, MEGA = 1e-3, 1e-6, 1e6
 SURFACE_POINTS = 160  # along the longer side
 VECTORS = 22  # along the longer side
-_SURFACE_SIZE = 1.1  # of the longest side in the view, which shows about 2 at the distance of the eye
-_LONGEST_VECTOR = 0.12  # of the surface's longer side
+_SURFACE_SIZE = 1.1  # the longest side has this length in the view, which shows about 2 at the distance of the eye
+_LONGEST_VECTOR = 0.12  # the longest arrow is this part of the surface's longer side
 _STRAINS = ("e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 _LAYOUT: dict[str, Any] = {
     "template": "plotly_white",
@@ -37,7 +37,7 @@ def surface_chart(step: xr.Dataset) -> go.Figure:
     DatasetError
         The step has no surface.
     """
-    arrays = {name: _thinned(step[name].values, SURFACE_POINTS) for name in "xyzuvw"}
+    arrays = {name: _thin(step[name].values, SURFACE_POINTS) for name in "xyzuvw"}
     if not np.isfinite(arrays["w"]).any():
         raise DatasetError(f"step {int(step.step)} has no surface")
     at = [(arrays[axis] + arrays[way]) / MILLI for axis, way in zip("xyz", "uvw", strict=True)]
@@ -56,7 +56,23 @@ def surface_chart(step: xr.Dataset) -> go.Figure:
         )
     )
     title = f"Step {int(step.step)}: surface"
-    lines, heads, factor = _vectors(step)
+    thin = {name: _thin(step[name].values, VECTORS).astype(np.float64) for name in "xyzuvw"}
+    known = np.isfinite(sum(thin.values()))
+    length = np.sqrt(thin["u"] ** 2 + thin["v"] ** 2 + thin["w"] ** 2)[known]
+    if not length.size or length.max() == 0:
+        lines, heads, factor = [np.zeros(0)] * 3, [np.zeros(0)] * 3, 1.0
+    else:
+        size = max(np.ptp(thin[axis][known]) for axis in "xy")
+        factor = _LONGEST_VECTOR * size / length.max()
+        # the lines are above the surface: where it sinks they end on it, where it rises they start from it
+        before = np.where(thin["w"][known] < 0, factor, 0.0)
+        lines, heads = [], []
+        for axis, way in zip("xyz", "uvw", strict=True):
+            moved = thin[way][known]
+            tail = thin[axis][known] + moved - before * moved
+            head = tail + factor * moved
+            lines.append(_short(np.stack([tail, head, np.full_like(tail, np.nan)], axis=-1).ravel() / MILLI, 4))
+            heads.append(_short(head / MILLI, 4))
     if len(heads[0]):
         title += f"<br><sub>displacement x {factor:.3g}, from the line's end to its dot</sub>"
         along = dict(zip("xyz", lines, strict=True))
@@ -70,29 +86,6 @@ def surface_chart(step: xr.Dataset) -> go.Figure:
     axes |= {"aspectmode": "manual", "aspectratio": proportions, "camera": {"eye": {"x": 0.5, "y": -1.5, "z": 1.3}}}
     figure.update_layout(**{**_LAYOUT, "height": 620}, title=title, scene=axes, showlegend=False)
     return figure
-
-
-def _vectors(step: xr.Dataset) -> tuple[list[np.ndarray], list[np.ndarray], float]:
-    """Return the displacement as separate lines [mm], their heads, and the factor of their length.
-
-    The lines are above the surface: where it sinks they end on it, where it rises they start from it.
-    """
-    thin = {name: _thinned(step[name].values, VECTORS).astype(np.float64) for name in "xyzuvw"}
-    known = np.isfinite(sum(thin.values()))
-    length = np.sqrt(thin["u"] ** 2 + thin["v"] ** 2 + thin["w"] ** 2)[known]
-    if not length.size or length.max() == 0:
-        return [np.zeros(0)] * 3, [np.zeros(0)] * 3, 1.0
-    size = max(np.ptp(thin[axis][known]) for axis in "xy")
-    factor = _LONGEST_VECTOR * size / length.max()
-    before = np.where(thin["w"][known] < 0, factor, 0.0)
-    lines, heads = [], []
-    for axis, way in zip("xyz", "uvw", strict=True):
-        moved = thin[way][known]
-        tail = thin[axis][known] + moved - before * moved
-        head = tail + factor * moved
-        lines.append(_short(np.stack([tail, head, np.full_like(tail, np.nan)], axis=-1).ravel() / MILLI, 4))
-        heads.append(_short(head / MILLI, 4))
-    return lines, heads, factor
 
 
 def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
@@ -282,7 +275,7 @@ def _over(
     return figure
 
 
-def _thinned(values: np.ndarray, points: int) -> np.ndarray:
+def _thin(values: np.ndarray, points: int) -> np.ndarray:
     thin = max(1, -(-max(values.shape) // points))
     return values[thin // 2 :: thin, thin // 2 :: thin]
 

@@ -93,7 +93,11 @@ def save_pictures(
 
     def save(name: str, maps: xr.Dataset, panels: tuple[Panel, ...], title: str) -> None:
         if panels in drawn:
-            _redraw_maps(drawn[panels], maps, panels, title)
+            # New axes would take as long as all drawing.
+            figure = drawn[panels]
+            _entitle(figure, title)
+            for axes, panel in zip(figure.axes, panels, strict=True):
+                _redraw(axes, maps, panel)
         else:
             drawn[panels] = maps_figure(maps, panels, title=title)
         files.append(target / name)
@@ -104,7 +108,18 @@ def save_pictures(
         measured = with_principal_strains(dataset.sel(step=step))
         if not np.isfinite(measured["displacement_x"]).any():
             continue
-        title = _title(measured, number)
+        words = [f"{measured.attrs.get('experiment', 'experiment')}, step {number}"]
+        if "image" in measured:
+            words.append(str(measured["image"].values))
+        for shown in signal_names(measured):
+            value, unit = float(measured[shown]), people_unit(measured[shown])
+            if shown == POSITION.name and np.isfinite(value):
+                words.append(f"crosshead {value / unit.factor:.3f} {unit.text}")
+            elif np.isfinite(value):
+                words.append(
+                    f"{'' if shown == FORCE.name else f'{shown} '}{number_text(value / unit.factor)} {unit.text}"
+                )
+        title = ", ".join(words)
         for name, panels in pictures_of(measured).items():
             save(f"step_{number:03d}{name and f'_{name}'}.png", measured, panels, title)
         if truth is not None and "w" in measured and np.isfinite(measured["w"]).any():
@@ -145,16 +160,9 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     return figure
 
 
-def _redraw_maps(figure: Figure, maps: xr.Dataset, panels: tuple[Panel, ...], title: str) -> None:
-    """Show another step in a figure of `maps_figure`: new axes would take as long as all drawing."""
-    _entitle(figure, title)
-    for axes, panel in zip(figure.axes, panels, strict=True):
-        _redraw(axes, maps, panel)
-
-
 def _redraw(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None) -> None:
     """Show another step in axes of `draw_map`."""
-    values, ends, title = _shown(maps, panel, limits)
+    values, ends, title = _prepare(maps, panel, limits)
     axes.images[0].set_data(values)
     axes.images[0].set_clim(*ends)
     axes.set_title(title, y=1.0)
@@ -181,9 +189,9 @@ def reference_figure(reference: xr.Dataset, measured: xr.Dataset, gauges: Mappin
     size = _map_size(reference, 5.2)
     figure = Figure(figsize=_panel_size(size), dpi=100)
     axes = _panel_axes(figure, size, 0, 0)
-    grey, extent = _thinned(reference["texture"].values), _extent(reference)
+    grey, extent = _thin(reference["texture"].values), _extent(reference)
     axes.imshow(grey, cmap="gray", extent=extent, origin="upper", interpolation="nearest")
-    inside = _thinned(np.isfinite(measured["displacement_x"].values).astype(float))
+    inside = _thin(np.isfinite(measured["displacement_x"].values).astype(float))
     if 0 < inside.mean() < 1 and min(inside.shape) > 1:
         axes.contour(inside, [0.5], colors="#ffb000", linewidths=1.5, extent=extent, origin="upper")
     left, right, bottom, top = extent
@@ -225,7 +233,7 @@ def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, *, title: str) ->
     axes.set_title(title)
 
 
-def _thinned(values: np.ndarray) -> np.ndarray:
+def _thin(values: np.ndarray) -> np.ndarray:
     thin = max(1, max(values.shape) // _WIDEST)
     return values[::thin, ::thin]
 
@@ -244,7 +252,7 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     """
     from matplotlib import colormaps
 
-    values, (low, high), title = _shown(maps, panel, limits)
+    values, (low, high), title = _prepare(maps, panel, limits)
     name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
         values,
@@ -266,39 +274,31 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     axes.set_title(title, y=1.0)  # a place found by matplotlib takes a fifth of all drawing
 
 
-def _shown(
+def _prepare(
     maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None
 ) -> tuple[np.ndarray, tuple[float, float], str]:
     """Return the values of a picture in people's units, the ends of its colour scale, and its title."""
     values = _in_people_units(maps, panel)
     finite = values[np.isfinite(values)]
-    ends = limits or _colour_range(_coloured_alike(maps, panel, finite), panel.symmetric)
+    if limits is None:
+        alike = finite
+        if panel.like:  # two maps with one colour scale
+            other = _in_people_units(maps, panel._replace(name=panel.like))
+            alike = np.concatenate([finite, other[np.isfinite(other)]])
+        low, high = (float(end) for end in np.percentile(alike, (_TAIL, 100 - _TAIL))) if alike.size else (0.0, 1.0)
+        if panel.symmetric:
+            high = max(abs(low), abs(high))
+            low = -high
+        limits = (low, high) if high > low else (low - 0.5, low + 0.5)
     title = panel.title
     if panel.symmetric and finite.size:
         title += f"   RMS {number_text(np.sqrt(np.mean(finite**2)), 3)} {people_unit(maps[panel.name]).text}"
-    return _thinned(values), ends, title
-
-
-def _coloured_alike(maps: xr.Dataset, panel: Panel, finite: np.ndarray) -> np.ndarray:
-    """Return the finite values of a panel, and of the map with the same colour scale."""
-    if not panel.like:
-        return finite
-    other = _in_people_units(maps, panel._replace(name=panel.like))
-    return np.concatenate([finite, other[np.isfinite(other)]])
+    return _thin(values), limits, title
 
 
 def _in_people_units(maps: xr.Dataset, panel: Panel) -> np.ndarray:
     variable = maps[panel.name]
     return np.asarray(variable.values / people_unit(variable).factor)
-
-
-def _colour_range(finite: np.ndarray, symmetric: bool) -> tuple[float, float]:
-    """Return the ends of the colour scale of a map, without the tails of its values."""
-    low, high = (float(end) for end in np.percentile(finite, (_TAIL, 100 - _TAIL))) if finite.size else (0.0, 1.0)
-    if symmetric:
-        high = max(abs(low), abs(high))
-        low = -high
-    return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
 def _extent(maps: xr.Dataset) -> Extent:
@@ -332,16 +332,3 @@ def _panel_axes(figure: Figure, size: tuple[float, float], column: int, line: in
 def _edges(positions: np.ndarray) -> tuple[float, float]:
     half = 0.5 * float(positions[1] - positions[0]) if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
-
-
-def _title(measured: xr.Dataset, step: int) -> str:
-    words = [f"{measured.attrs.get('experiment', 'experiment')}, step {step}"]
-    if "image" in measured:
-        words.append(str(measured["image"].values))
-    for name in signal_names(measured):
-        value, unit = float(measured[name]), people_unit(measured[name])
-        if name == POSITION.name and np.isfinite(value):
-            words.append(f"crosshead {value / unit.factor:.3f} {unit.text}")
-        elif np.isfinite(value):
-            words.append(f"{'' if name == FORCE.name else f'{name} '}{number_text(value / unit.factor)} {unit.text}")
-    return ", ".join(words)

@@ -13,7 +13,6 @@ from fringedic.planning.plan_warnings import depth_of_field
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon
 
@@ -45,46 +44,35 @@ def draw_fields(plan: Plan) -> Figure:
     """Draw the fields of camera and projector on the reference plane [mm], and the noise of z over the angle."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     fields, angles = figure.subplots(1, 2)
-    _draw_outlines(fields, plan)
-    _draw_angles(angles, plan)
-    return figure
-
-
-def _draw_outlines(axes: Axes, plan: Plan) -> None:
     rig = plan.planned.model
     columns, rows = np.array([0, 1, 1, 0]) * (rig.camera_width - 1), np.array([0, 0, 1, 1]) * (rig.camera_height - 1)
     camera = 1e3 * plan.planned.points(columns.astype(float), rows.astype(float))[:2].T
-    projector = 1e3 * _projector_corners(plan)
-    for corners, colour, name in ((projector, _PROJECTOR, "projector"), (camera, _CAMERA, "camera")):
-        axes.add_patch(Polygon(corners, closed=True, facecolor=colour, alpha=0.15))
-        axes.add_patch(Polygon(corners, closed=True, fill=False, edgecolor=colour, lw=1.5, label=name))
-    width, height = np.ptp(camera, axis=0)
-    axes.set_title(f"fields on the surface; camera {width:.1f} mm × {height:.1f} mm", fontsize=10)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axes.autoscale_view()
-    axes.legend(fontsize=8, loc="upper right")
-    axes.grid(alpha=0.3)
-
-
-def _projector_corners(plan: Plan) -> np.ndarray:
-    """Return the corners (4, 2) [m] of the projector's image on the reference plane."""
     rig = plan.planned.model
     m = np.array([-1, 1, 1, -1]) * 0.5 * rig.projector_width / rig.projector_focal_length
     n = np.array([-1, -1, 1, 1]) * 0.5 * rig.projector_height / rig.projector_focal_length
     directions = np.stack([m, n, -np.ones(4)], axis=1) @ rig.projector_axes.T
     position = np.array(rig.projector_position)
     points: np.ndarray = position + directions * (-position[2] / directions[:, 2:])
-    return points[:, :2]
-
-
-def _draw_angles(axes: Axes, plan: Plan) -> None:
+    projector = 1e3 * points[:, :2]
+    for corners, colour, name in ((projector, _PROJECTOR, "projector"), (camera, _CAMERA, "camera")):
+        fields.add_patch(Polygon(corners, closed=True, facecolor=colour, alpha=0.15))
+        fields.add_patch(Polygon(corners, closed=True, fill=False, edgecolor=colour, lw=1.5, label=name))
+    width, height = np.ptp(camera, axis=0)
+    fields.set_title(f"fields on the surface; camera {width:.1f} mm × {height:.1f} mm", fontsize=10)
+    fields.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    fields.autoscale_view()
+    fields.legend(fontsize=8, loc="upper right")
+    fields.grid(alpha=0.3)
     angle, noise = np.array(plan.angles).T
     scale = 1e6 * plan.field.sigma["z"]
-    axes.plot(np.degrees(angle), scale * noise, color=_GREY)
-    axes.plot(math.degrees(plan.angle), scale, "o", color=_PROJECTOR, label=f"planned: {math.degrees(plan.angle):.0f}°")
+    angles.plot(np.degrees(angle), scale * noise, color=_GREY)
+    angles.plot(
+        math.degrees(plan.angle), scale, "o", color=_PROJECTOR, label=f"planned: {math.degrees(plan.angle):.0f}°"
+    )
     recommended = math.degrees(plan.recommended_angle)
-    axes.axvline(recommended, color=_CAMERA, ls="--", lw=1, label=f"recommended: {recommended:.0f}°")
-    axes.set(xlabel="angle of the projector [degree]", ylabel="standard uncertainty of z [µm]")
-    axes.set_ylim(bottom=0, top=1.05 * scale * min(noise.max(), 3.0))
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    angles.axvline(recommended, color=_CAMERA, ls="--", lw=1, label=f"recommended: {recommended:.0f}°")
+    angles.set(xlabel="angle of the projector [degree]", ylabel="standard uncertainty of z [µm]")
+    angles.set_ylim(bottom=0, top=1.05 * scale * min(noise.max(), 3.0))
+    angles.grid(alpha=0.3)
+    angles.legend(fontsize=8)
+    return figure

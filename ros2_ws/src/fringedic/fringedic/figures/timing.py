@@ -35,7 +35,24 @@ def timing_figure(samples: TimingSamples, timing: ProjectorTiming, exposure_time
     else:
         change, pulses = figure.subplots(1, 2)
         _change(change, samples, timing)
-        _pulses(pulses, samples, timing, exposure_time)
+        refresh = timing.refresh
+        assert refresh is not None, "only called for pulsing light"
+        chosen = samples.bright & (samples.since - samples.exposure_time / 2 > timing.settled())
+        seen = (samples.brightness[chosen] - timing.dark) / (timing.bright - timing.dark)
+        pulses.plot(
+            1e3 * (samples.stamp[chosen] % refresh.period), 100 * seen, ".", color=COLOURS[True], label="frames"
+        )
+        time = np.linspace(0.0, refresh.period, 400)
+        whole = timing.whole_exposure(exposure_time)
+        for length, style in ((samples.exposure_time, "-"), (exposure_time, "--"), (whole, ":")):
+            wave = refresh.mean(time - length / 2, length)
+            pulses.plot(1e3 * time, 100 * wave, style, color="black", label=f"exposures of {1e3 * length:.4g} ms")
+        pulses.set(
+            xlabel="middle of the exposure within a refresh period [ms]",
+            ylabel="brightness of white [% of its mean]",
+            title=f"The light pulses at {refresh.frequency:.2f} Hz",
+        )
+        pulses.legend()
     return figure
 
 
@@ -57,22 +74,3 @@ def _change(axes: Axes, samples: TimingSamples, timing: ProjectorTiming) -> None
         title=f"{timing.samples} frames of {1e3 * timing.exposure_time:.3g} ms",
     )
     axes.legend(loc="center right")
-
-
-def _pulses(axes: Axes, samples: TimingSamples, timing: ProjectorTiming, exposure_time: float) -> None:
-    refresh = timing.refresh
-    assert refresh is not None, "only called for pulsing light"
-    chosen = samples.bright & (samples.since - samples.exposure_time / 2 > timing.settled())
-    seen = (samples.brightness[chosen] - timing.dark) / (timing.bright - timing.dark)
-    axes.plot(1e3 * (samples.stamp[chosen] % refresh.period), 100 * seen, ".", color=COLOURS[True], label="frames")
-    time = np.linspace(0.0, refresh.period, 400)
-    whole = timing.whole_exposure(exposure_time)
-    for length, style in ((samples.exposure_time, "-"), (exposure_time, "--"), (whole, ":")):
-        wave = refresh.mean(time - length / 2, length)
-        axes.plot(1e3 * time, 100 * wave, style, color="black", label=f"exposures of {1e3 * length:.4g} ms")
-    axes.set(
-        xlabel="middle of the exposure within a refresh period [ms]",
-        ylabel="brightness of white [% of its mean]",
-        title=f"The light pulses at {refresh.frequency:.2f} Hz",
-    )
-    axes.legend()

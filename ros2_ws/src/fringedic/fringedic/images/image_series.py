@@ -26,7 +26,6 @@ from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.parameters import DicParameters, Parameters
 from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.statistics import measured_part_and_rms
-from fringedic.steps.step_results import DicResult
 from fringedic.surface.flat import flat_strain
 from fringedic.surface.planes import WIDEST_WINDOW
 from fringedic.wording.arguments import array, check_arguments, number, optional, path, several, whole
@@ -243,11 +242,6 @@ class _Measuring:
             )  # errors of reading name the file
             self._reason = self._reason or type(error)(row.error)
             return row, MeasuredImage(step, file.name, row.error)
-        self._fill(row, result, texture)
-        link = result.correlated_step
-        return row, MeasuredImage(step, file.name, increment_from=self._names[link] if link else "")
-
-    def _fill(self, row: Row, result: DicResult, texture: np.ndarray) -> None:
         field, scale = result.field, self._scale
         spacing = self._parameters.spacing
         fraction, length = measured_part_and_rms(field.displacement_x.values, field.displacement_y.values)
@@ -271,3 +265,5 @@ class _Measuring:
         row.maps |= {str(name): values.values for name, values in strain.items()}
         gauge = strain.attrs["virtual_strain_gauge_px"]
         self._strain = self._strain.model_copy(update={"virtual_strain_gauge_px": gauge})
+        link = result.correlated_step
+        return row, MeasuredImage(step, file.name, increment_from=self._names[link] if link else "")

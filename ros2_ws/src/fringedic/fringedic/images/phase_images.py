@@ -30,9 +30,9 @@ _LARGEST_BLOCK = 0.75  # of a period: the middle of a block is then known to 3/8
 _LARGEST_OFFSET = 0.25  # of a period, between fringes and Gray code
 _LEAST_AGREEMENT = 0.7  # length of the mean of exp(i difference) of fringes and Gray code, over that of perfect ones
 _BLOCK_EDGE = 0.05  # of a block: blur of its edges and noise change the number of the block
-_LINES = 64  # of the image, in which jumps of the numbers of blocks are counted
+_LINES = 64  # jumps of the numbers of blocks are counted in so many lines of the image
 _JUMPS = 0.5  # per line: a step of the surface gives one or two on some lines, interchanged bits on all
-_CONTRAST = 5.0  # standard deviations between bright and dark of a bit
+_CONTRAST = 5.0  # bright and dark of a clear bit differ by so many standard deviations
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,17 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     names = [name for each in entries for name in each.images]
     frames = _read(folder, names)
     patterns = [each for entry in entries for each in entry.patterns(description.orientation)]
-    noise = _check(frames, patterns, names, description)
+    settings = PhaseSettings(saturation=description.saturation)
+    for found in inspect_stack(frames, patterns, settings):
+        if found.fault:
+            images = ", ".join(names[frame] for frame in found.frames[:2]) or "the images"
+            turned = _turned_pitches(frames, patterns, settings)
+            advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
+            raise StepError(f"{images}: {describe(found)}{advice}", code=found.kind.code)
+    noise = estimate_sample_noise(Sample.from_stack(frames, layout_of(patterns)))
     waves, maps = [], []
     for entry, where in zip(entries, layout_of(patterns).slices(), strict=True):
-        measured = _wrapped(frames[where], patterns[where], noise, description)
+        measured = _measure_pitch(frames[where], patterns[where], noise, description)
         maps.append(measured)
         origin = TURN * description.origin / entry.pitch_px
         waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
@@ -101,7 +108,35 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         else _blocks(folder, description.gray_code, noise, frames, description.orientation)
     )
     absolute = _absolute(waves, blocks, description)
-    return _dataset(absolute, waves, maps, blocks, description)
+    finest, measured = waves[-1], maps[-1]
+    origin = TURN * description.origin / finest.period
+    image = ("row", "column")
+    valid = np.isfinite(absolute.values)
+    coordinate = absolute.values * finest.period / TURN
+    result = measured[["modulation", "texture"]].assign(
+        phase=(image, (absolute.values - origin).astype(np.float32), {"units": "rad", **absolute.attrs}),
+        sigma=(image, np.where(valid, finest.sigma, np.nan).astype(np.float32), {"units": "rad"}),
+        coordinate=(image, coordinate.astype(np.float32), {"units": "projector px"}),
+        valid=(image, valid),
+    )
+    if len(waves) > 1:
+        coarse = waves[-2]
+        ratio = finest.period / coarse.period
+        away = coarse.phase - absolute.values * ratio
+        away -= TURN * np.round(away / TURN)
+        result["closure"] = (image, (away / np.hypot(coarse.sigma, ratio * finest.sigma)).astype(np.float32))
+    if blocks is not None and description.gray_code is not None:
+        inside = valid & np.isfinite(blocks)
+        place = coordinate / description.gray_code.block_px
+        clear = np.abs(place - np.round(place)) > _BLOCK_EDGE
+        result["other_block"] = (image, inside & clear & (np.floor(place) != blocks))
+    result.attrs = {
+        "direction": description.direction,
+        "pitch_px": finest.period,
+        "harmonic_error": measured.phase.attrs["harmonic_error"],
+        "harmonics_corrected": int(description.correct_harmonics),
+    }
+    return result
 
 
 def _read(folder: Path, names: list[str]) -> np.ndarray:
@@ -113,20 +148,6 @@ def _read(folder: Path, names: list[str]) -> np.ndarray:
                 f"{images[0].shape[1]}x{images[0].shape[0]} px of {images[0].dtype}: all images of a stack are alike"
             )
     return np.array(images)
-
-
-def _check(
-    frames: np.ndarray, patterns: list[ProjectedPattern], names: list[str], description: FringeImageDescription
-) -> CameraNoise:
-    """Check the frames as those of a step; return the noise of the camera."""
-    settings = PhaseSettings(saturation=description.saturation)
-    for found in inspect_stack(frames, patterns, settings):
-        if found.fault:
-            images = ", ".join(names[frame] for frame in found.frames[:2]) or "the images"
-            turned = _turned_pitches(frames, patterns, settings)
-            advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
-            raise StepError(f"{images}: {describe(found)}{advice}", code=found.kind.code)
-    return estimate_sample_noise(Sample.from_stack(frames, layout_of(patterns)))
 
 
 def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings) -> str:
@@ -141,7 +162,7 @@ def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settin
     return ""
 
 
-def _wrapped(
+def _measure_pitch(
     frames: np.ndarray, patterns: list[ProjectedPattern], noise: CameraNoise, description: FringeImageDescription
 ) -> xr.Dataset:
     """Return phase, sigma, modulation and texture of one pitch."""
@@ -220,7 +241,31 @@ def _absolute(waves: list[_Wave], blocks: np.ndarray | None, description: Fringe
         return unwrap_spatial(waves[-1].phase)
     middle = np.asarray(0.5 if blocks is None else blocks + 0.5) * block - 0.5
     if blocks is not None:
-        _check_code(coarsest, TURN * middle / coarsest.period, block, description)
+        code = TURN * middle / coarsest.period
+        # the code is that of the middle of each block
+        least = _LEAST_AGREEMENT * float(np.sinc(block / coarsest.period))
+        for sign in (1, -1):
+            away = np.exp(1j * (sign * coarsest.phase - code))
+            mean = complex(np.mean(away[np.isfinite(away)]))
+            if abs(mean) > least:
+                break
+        else:
+            raise StepError(
+                "fringes and Gray code do not belong together: check pitches, shifts and width of the blocks",
+                code=ErrorCode.WRONG_PATTERN,
+            )
+        if sign < 0:
+            raise StepError(
+                "the fringes grow against the Gray code: reverse the lists of shifts", code=ErrorCode.WRONG_PATTERN
+            )
+        offset = float(np.angle(mean)) / TURN
+        if abs(offset) > _LARGEST_OFFSET:
+            origin = description.origin - offset * coarsest.period
+            raise StepError(
+                f"the fringes are displaced by {offset * coarsest.period:.0f} px against the Gray code: origin_px "
+                f"{origin:.0f} would fit",
+                code=ErrorCode.WRONG_PATTERN,
+            )
     phase = assign_orders(coarsest.phase, np.broadcast_to(TURN * middle / coarsest.period, coarsest.phase.shape))
     for coarse, fine in pairwise(levels):
         phase = assign_orders(fine.phase, phase.values * coarse.period / fine.period)
@@ -231,68 +276,3 @@ def _beat(coarse: _Wave, fine: _Wave) -> _Wave:
     """Return the difference of two waves, whose period is longer than both (heterodyne)."""
     period = 1 / (1 / fine.period - 1 / coarse.period)
     return _Wave(period, fine.phase - coarse.phase, np.hypot(fine.sigma, coarse.sigma))
-
-
-def _check_code(wave: _Wave, code: np.ndarray, block: float, description: FringeImageDescription) -> None:
-    """Raise `StepError` when the fringes are displaced against the Gray code, or grow the other way."""
-    least = _LEAST_AGREEMENT * float(np.sinc(block / wave.period))  # the code is that of the middle of each block
-    for sign in (1, -1):
-        away = np.exp(1j * (sign * wave.phase - code))
-        mean = complex(np.mean(away[np.isfinite(away)]))
-        if abs(mean) > least:
-            break
-    else:
-        raise StepError(
-            "fringes and Gray code do not belong together: check pitches, shifts and width of the blocks",
-            code=ErrorCode.WRONG_PATTERN,
-        )
-    if sign < 0:
-        raise StepError(
-            "the fringes grow against the Gray code: reverse the lists of shifts", code=ErrorCode.WRONG_PATTERN
-        )
-    offset = float(np.angle(mean)) / TURN
-    if abs(offset) > _LARGEST_OFFSET:
-        origin = description.origin - offset * wave.period
-        raise StepError(
-            f"the fringes are displaced by {offset * wave.period:.0f} px against the Gray code: origin_px "
-            f"{origin:.0f} would fit",
-            code=ErrorCode.WRONG_PATTERN,
-        )
-
-
-def _dataset(
-    phase: xr.DataArray,
-    waves: list[_Wave],
-    maps: list[xr.Dataset],
-    blocks: np.ndarray | None,
-    description: FringeImageDescription,
-) -> xr.Dataset:
-    finest, measured = waves[-1], maps[-1]
-    origin = TURN * description.origin / finest.period
-    image = ("row", "column")
-    valid = np.isfinite(phase.values)
-    coordinate = phase.values * finest.period / TURN
-    result = measured[["modulation", "texture"]].assign(
-        phase=(image, (phase.values - origin).astype(np.float32), {"units": "rad", **phase.attrs}),
-        sigma=(image, np.where(valid, finest.sigma, np.nan).astype(np.float32), {"units": "rad"}),
-        coordinate=(image, coordinate.astype(np.float32), {"units": "projector px"}),
-        valid=(image, valid),
-    )
-    if len(waves) > 1:
-        coarse = waves[-2]
-        ratio = finest.period / coarse.period
-        away = coarse.phase - phase.values * ratio
-        away -= TURN * np.round(away / TURN)
-        result["closure"] = (image, (away / np.hypot(coarse.sigma, ratio * finest.sigma)).astype(np.float32))
-    if blocks is not None and description.gray_code is not None:
-        inside = valid & np.isfinite(blocks)
-        place = coordinate / description.gray_code.block_px
-        clear = np.abs(place - np.round(place)) > _BLOCK_EDGE
-        result["other_block"] = (image, inside & clear & (np.floor(place) != blocks))
-    result.attrs = {
-        "direction": description.direction,
-        "pitch_px": finest.period,
-        "harmonic_error": measured.phase.attrs["harmonic_error"],
-        "harmonics_corrected": int(description.correct_harmonics),
-    }
-    return result

@@ -45,7 +45,16 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
     if "pixel_size" in dataset.attrs:
         length += f" ({number_text(1e3 * gauge * float(dataset.attrs['pixel_size']))} mm)"
     yield f"strain of {name}: {_medians(last, _STRAINS)}; virtual strain gauge {length}"
-    yield _reference(series)
+    first = series.images[0].name
+    summed = [image for image in series.images if image.increment_from]
+    if not summed:
+        reference = f"reference: {first} for all images"
+    else:
+        reference = (
+            f"reference: {first}; from {summed[0].name} on the surface has changed too much, so that increments from "
+            f"{', '.join(dict.fromkeys(image.increment_from for image in summed))} were summed"
+        )
+    yield reference
     if verdict := confirmation_sentence(dataset):
         yield verdict
     yield f"time: {series.seconds:.1f} s, {series.seconds / len(series.images):.2f} s per image"
@@ -60,7 +69,14 @@ def failure_sentences(series: ImageSeries) -> Iterator[str]:
 def _medians(step: xr.Dataset, names: tuple[str, ...]) -> str:
     unit = people_unit(step[names[0]])
     values = ", ".join(f"{_word(name)} {number_text(_median(step, name) / unit.factor)}" for name in names)
-    sigmas = [name for name in (_sigma(name) for name in names) if name in step]
+    sigmas = [
+        name
+        for name in (
+            (name.replace("displacement_", "displacement_sigma_") if "displacement" in name else f"sigma_{name}")
+            for name in names
+        )
+        if name in step
+    ]
     sigma = max(_median(step, name) for name in sigmas) / unit.factor
     return f"median {values} {unit.text}; 1 sigma of a point {number_text(sigma)} {unit.text}"
 
@@ -71,23 +87,8 @@ def _word(name: str) -> str:
     )
 
 
-def _sigma(name: str) -> str:
-    return name.replace("displacement_", "displacement_sigma_") if "displacement" in name else f"sigma_{name}"
-
-
 def _median(step: xr.Dataset, name: str) -> float:
     return float(np.nanmedian(step[name].values))
-
-
-def _reference(series: ImageSeries) -> str:
-    first = series.images[0].name
-    summed = [image for image in series.images if image.increment_from]
-    if not summed:
-        return f"reference: {first} for all images"
-    return (
-        f"reference: {first}; from {summed[0].name} on the surface has changed too much, so that increments from "
-        f"{', '.join(dict.fromkeys(image.increment_from for image in summed))} were summed"
-    )
 
 
 def phase_sentences(measured: xr.Dataset) -> Iterator[str]:

@@ -109,6 +109,8 @@ def assess(
         float(np.mean(each)) ** 2 for each in moved
     )
     aligned = sum(float(np.sum(m * each * noise)) ** 2 for each in moved)
+    normalized = np.where(known, difference / np.sqrt(variance), 0.0)
+    sizes = [np.bincount(label(sign * normalized > 2)[0].ravel())[1:] for sign in (1, -1)]
     return Agreement(
         points=points,
         within_2_sigma=float(np.mean(d**2 <= 4 * s2)),
@@ -118,7 +120,7 @@ def assess(
         systematic=float(np.sqrt(max(0.0, mean_square - float(np.mean(s2))))),
         relative_error=float(np.sqrt(mean_square / max(float(np.mean(measured[known] ** 2)), float(np.mean(s2))))),
         correlated_points=together,
-        largest_region=_largest_region(np.where(known, difference / np.sqrt(variance), 0.0)),
+        largest_region=int(max((each.max() for each in sizes if each.size), default=0)),
         mean_error=-float(np.mean(d)),
         sigma_mean_error=float(np.sqrt(mean_variance)),
         factor=factor if power > 0 else math.nan,
@@ -145,9 +147,3 @@ def assess_curve(steps: xr.Dataset) -> xr.Dataset:
         "curve_sigma_factor": (weights * steps["sigma_factor"]).sum("step") / weights.sum("step"),
     }
     return xr.Dataset({name: each.assign_attrs(units="1", long_name=CURVE[name]) for name, each in found.items()})
-
-
-def _largest_region(normalized: np.ndarray) -> int:
-    """Return the number of points of the largest connected region beyond 2 standard uncertainties of one sign."""
-    sizes = [np.bincount(label(sign * normalized > 2)[0].ravel())[1:] for sign in (1, -1)]
-    return int(max((each.max() for each in sizes if each.size), default=0))

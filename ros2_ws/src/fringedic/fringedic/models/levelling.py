@@ -19,9 +19,10 @@ import xarray as xr
 
 from fringedic.correlation.transfer import NARROWER, ORDER, window_deviation
 from fringedic.errors import ModelError
+from fringedic.surface.planes import spacing_of
 from fringedic.surface.strain import surface_strain
 
-_ITERATIONS = 12  # of the fixed point; test_waves_keep_the_share_of_the_fixed_point
+_ITERATIONS = 12  # reach the fixed point; test_waves_keep_the_share_of_the_fixed_point
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Levelling:
         known = np.isfinite(maps).all(axis=0)
         u, v, w = np.where(known, maps, 0.0).astype(np.float32)
         if self.z_filter > 0:
-            w = _normalised(known, _gaussian(self.z_filter / self.spacing))(w)
+            w = _normalise(known, _gaussian(self.z_filter / self.spacing))(w)
         with ThreadPoolExecutor(2) as pool:
             in_plane = list(pool.map(lambda values: self._in_plane(values, known), (u, v)))
         return np.where(known, np.stack([*in_plane, w]), np.nan)
@@ -70,14 +71,16 @@ class Levelling:
         equal, falling = np.ones(len(place)), reach * (reach + 1) - place * (place - 1.0)
         falling = (falling + falling[::-1]) / 2
         along_x, along_y = (
-            _normalised(known, *(taps / taps.sum() for taps in pair)) for pair in ((falling, equal), (equal, falling))
+            _normalise(known, *(taps / taps.sum() for taps in pair)) for pair in ((falling, equal), (equal, falling))
         )
         found = np.stack([along_x(e_11), along_y(e_22), (along_x(e_12) + along_y(e_12)) / 2])
         return np.where(known, found, np.nan)
 
     def _in_plane(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         if self.method == "zoi":
-            return _normalised(known, _zone(self.window, self.spacing))(values)
+            reach = (self.window - 1) // (2 * self.spacing)
+            taps = np.maximum(0, 1 - np.abs(np.arange(-reach, reach + 1)) * 2 * self.spacing / (self.window - 1)) ** 2
+            return _normalise(known, np.asarray(taps / taps.sum()))(values)
         return _fixed_point(values, known, window_deviation(self.window) / self.spacing)
 
     def strain(self, positions: np.ndarray, maps: np.ndarray, grid: xr.Dataset) -> np.ndarray:
@@ -104,13 +107,12 @@ def levelling_of(experiment: xr.Dataset) -> Levelling:
         raise ModelError("the dataset has no parameters of its measurement; open a dataset of this version")
     parameters: dict[str, dict[str, Any]] = recorded[-1]["parameters"]
     coupling, strain = parameters.get("coupling", {}), parameters.get("strain", {})
-    columns = experiment["column"].values
     return Levelling(
         window=int(parameters["dic"]["window"]),
         method=str(parameters["dic"].get("method", "dense")),
         z_filter=float(coupling.get("z_filter_px", 0.0)),
         strain_window=int(strain.get("strain_window_px", coupling.get("strain_window_px", 0))),
-        spacing=int(columns[1] - columns[0]) if len(columns) > 1 else 1,
+        spacing=int(spacing_of(experiment["column"].values)),
     )
 
 
@@ -121,7 +123,7 @@ def _fixed_point(values: np.ndarray, known: np.ndarray, deviation: float) -> np.
     Inside the surface the transfer is `noise_transfer`; at an edge normalised windows follow the displacement as
     subsets do.
     """
-    wide, narrow = (_normalised(known, _gaussian(each)) for each in (deviation, NARROWER * deviation))
+    wide, narrow = (_normalise(known, _gaussian(each)) for each in (deviation, NARROWER * deviation))
     result = values
     for _ in range(_ITERATIONS):
         left = result
@@ -132,7 +134,7 @@ def _fixed_point(values: np.ndarray, known: np.ndarray, deviation: float) -> np.
     return result
 
 
-def _normalised(
+def _normalise(
     known: np.ndarray, taps: np.ndarray, across: np.ndarray | None = None
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the separable filter, by default alike along both axes, that weighs only known points; 0 elsewhere."""
@@ -148,11 +150,4 @@ def _normalised(
 def _gaussian(deviation: float) -> np.ndarray:
     reach = int(4 * deviation) + 1
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
-    return np.asarray(taps / taps.sum())
-
-
-def _zone(window: int, spacing: int) -> np.ndarray:
-    """Return the weights of a zone, the square of its bi-triangular window, at the points."""
-    reach = (window - 1) // (2 * spacing)
-    taps = np.maximum(0, 1 - np.abs(np.arange(-reach, reach + 1)) * 2 * spacing / (window - 1)) ** 2
     return np.asarray(taps / taps.sum())

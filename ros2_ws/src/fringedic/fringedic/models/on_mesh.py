@@ -64,7 +64,13 @@ def _on_mesh(step: xr.Dataset, model: Model) -> xr.Dataset:
     seen[triangles] = True
     names = [f"{prefix}{name}" for name in step["quantity"].values.tolist() for prefix in _PREFIXES]
     values = np.full((len(nodes), len(names)), np.nan)
-    points, cells, known = _measured_triangles(step)
+    surface = np.stack([step[axis].values.astype(float) for axis in "xyz"])
+    known = np.isfinite(surface).all(axis=0)
+    number = np.where(known, np.cumsum(known).reshape(known.shape) - 1, -1)
+    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    halves = [np.stack([corners[i].ravel() for i in half], axis=-1) for half in ((0, 1, 2), (0, 2, 3))]
+    cells = np.vstack(halves)
+    points, cells = surface[:, known].T, cells[(cells >= 0).all(axis=1)]
     if len(cells) and seen.any():
         maps = np.stack([step[name].values[known] for name in names], axis=-1)
         values[seen] = sample(points, cells, nodes[seen]).interpolate(maps)
@@ -79,14 +85,3 @@ def _on_mesh(step: xr.Dataset, model: Model) -> xr.Dataset:
     fields["displacement_of_model"] = (("node", "axis"), motion, {"units": "m"})
     fields["load_of_model"] = ((), float(step["load_of_model"]), {})
     return xr.Dataset(fields)
-
-
-def _measured_triangles(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the measured points (point, 3), the triangles between neighbours, and where the points are."""
-    surface = np.stack([step[axis].values.astype(float) for axis in "xyz"])
-    known = np.isfinite(surface).all(axis=0)
-    number = np.where(known, np.cumsum(known).reshape(known.shape) - 1, -1)
-    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    halves = [np.stack([corners[i].ravel() for i in half], axis=-1) for half in ((0, 1, 2), (0, 2, 3))]
-    cells = np.vstack(halves)
-    return surface[:, known].T, cells[(cells >= 0).all(axis=1)], known

@@ -18,19 +18,19 @@ _MOST_POINTS = 20_000  # of the measured surface; more do not change the result 
 _ITERATIONS = 50
 _MIRROR_ITERATIONS = 8  # a mirrored model that fits converges in a few; others need no exact residual
 _TUKEY = 4.685  # width of the biweight in standard deviations: 95 % efficiency for normal errors
-_SMALLEST_SCALE = 1e-7  # residual of computed data over the size of the surface
-_TURNING = 0.1  # singular value above which a free motion contains a rotation
-_SINGULAR = 1e-5  # ratio of eigenvalues below which a direction is not determined, whatever the noise
-_FEWEST = 50  # points of the surface
-_FEWEST_PAIRS = 3  # that determine a position
+_SMALLEST_SCALE = 1e-7  # computed data leave this residual over the size of the surface
+_TURNING = 0.1  # a free motion with a larger singular value contains a rotation
+_SINGULAR = 1e-5  # with a smaller ratio of eigenvalues a direction is not determined, whatever the noise
+_FEWEST = 50  # the surface needs so many points
+_FEWEST_PAIRS = 3  # so many pairs determine a position
 _UNDETERMINED = 1e-3  # information [1/spacing^2] below which pairs and shape determine no motion
 _TURN_STEP = 30  # [degree] between starts of a surface that is as long as wide
 _ROUND = 0.8  # ratio of its two longer axes from which their directions are uncertain
-_COVERED = 0.9  # points on the model over those of the best placement
-_AS_GOOD = 1.3  # residual over that of the best placement
+_COVERED = 0.9  # an alternative has at least this part of the points of the best placement on the model
+_AS_GOOD = 1.3  # an alternative has at most this residual over that of the best placement
 _SAME_TURN = 0.05  # [rad]
-_MISFIT = 10.0  # standard deviations of a clicked point
-_MIRRORED = 0.3  # residual of the mirrored model over that of the model
+_MISFIT = 10.0  # a clicked point fits within so many of its standard deviations
+_MIRRORED = 0.3  # a model is mirrored if its mirror image leaves less than this part of its residual
 _SHAPES = {  # number of free translations and rotations (slippage analysis)
     (2, 1): "a plane",
     (1, 1): "a cylinder",
@@ -290,7 +290,7 @@ class _Alignment:
         """Return the best placement of those that give surface and model the same principal axes."""
         measured = self._points[np.isfinite(self._points).all(axis=1)]
         axes, lengths = _principal_axes(measured)
-        middle = self._model.nodes[self._model.triangles].mean(axis=1)  # of the triangles, with their areas
+        middle = self._model.nodes[self._model.triangles].mean(axis=1)  # triangles count with their areas
         first, second, third = (self._model.nodes[self._model.triangles[:, corner]] for corner in range(3))
         areas = np.linalg.norm(np.cross(second - first, third - first), axis=1)
         own, _ = _principal_axes(middle, areas)
@@ -315,7 +315,10 @@ class _Alignment:
         others: list[Placement] = []
         for each in found:
             as_good = each.used > _COVERED * best.used and each.residual < _AS_GOOD * best.residual
-            if as_good and all(_differ(each, other) for other in (best, *others)):
+            if as_good and all(
+                Rotation.from_matrix(each.rotation.T @ other.rotation).magnitude() > _SAME_TURN
+                for other in (best, *others)
+            ):
                 others.append(each)
         return replace(best, alternatives=len(others))
 
@@ -383,7 +386,15 @@ class _Alignment:
         covariance = (kept / values[~free]) @ kept.T
         undetermined = vectors[:, free]
         if len(self._pairs):
-            derivatives, differences, sigmas = self._pair_equations(placed)
+            along = self._along @ placed.rotation.T  # 0 for points
+            apart = self._pairs[:, 0] - placed.apply(self._pairs[:, 1])
+            apart -= along * np.sum(along * apart, axis=1, keepdims=True)  # from the nearest point of an edge
+            rows = []
+            for (x, y, z), direction in zip(self._pairs[:, 0] - apart - self._centre, along, strict=True):
+                across = np.eye(3) - np.outer(direction, direction)
+                rows.append(across @ np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
+            derivatives, differences = np.vstack(rows), np.concatenate(list(apart))
+            sigmas = np.repeat(self._pair_sigmas, 3)
             information = information + (derivatives.T / sigmas**2) @ derivatives
             gradient = gradient + (derivatives.T / sigmas**2) @ differences
             totals, motions = np.linalg.eigh(information / np.outer(lengths, lengths))
@@ -392,21 +403,20 @@ class _Alignment:
             covariance, undetermined = (kept / totals[~open_]) @ kept.T, motions[:, open_]
             if not open_.any():  # more exact where the shape is known much better than the pairs
                 covariance = np.linalg.inv(information / np.outer(lengths, lengths)) / np.outer(lengths, lengths)
-        return _System(
-            fit, gradient, covariance, lengths, _name_free(vectors[:, free]), undetermined / lengths[:, np.newaxis]
-        )
-
-    def _pair_equations(self, placed: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return derivatives (3 pairs, 6), differences and their standard deviations (3 pairs,) of the point pairs."""
-        along = self._along @ placed.rotation.T  # 0 for points
-        apart = self._pairs[:, 0] - placed.apply(self._pairs[:, 1])
-        apart -= along * np.sum(along * apart, axis=1, keepdims=True)  # from the nearest point of an edge
-        rows = []
-        for (x, y, z), direction in zip(self._pairs[:, 0] - apart - self._centre, along, strict=True):
-            across = np.eye(3) - np.outer(direction, direction)
-            rows.append(across @ np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
-        differences = list(apart)
-        return np.vstack(rows), np.concatenate(differences), np.repeat(self._pair_sigmas, 3)
+        directions = vectors[:, free]
+        number = directions.shape[1]
+        names = None
+        if number:
+            _, strength, mixing = np.linalg.svd(directions[3:])
+            turning = int(np.count_nonzero(strength > _TURNING))
+            motions = directions @ mixing.T
+            rotations, translations = motions[3:, :turning], motions[:3, turning:]
+            names = FreeDirections(
+                _SHAPES.get((number - turning, turning), "a surface with symmetry"),
+                _unit(translations),
+                _unit(rotations),
+            )
+        return _System(fit, gradient, covariance, lengths, names, undetermined / lengths[:, np.newaxis])
 
     def _fit(self, placed: Placement) -> _Fit:
         nodes = placed.apply(self._model.nodes)
@@ -425,20 +435,6 @@ class _Alignment:
         return _Fit(residuals, derivatives, weights, scale, scale**2 * correlated_points(kept))
 
 
-def _name_free(directions: np.ndarray) -> FreeDirections | None:
-    """Return free translations and rotations from their vectors (6, number)."""
-    number = directions.shape[1]
-    if not number:
-        return None
-    _, strength, mixing = np.linalg.svd(directions[3:])
-    turning = int(np.count_nonzero(strength > _TURNING))
-    motions = directions @ mixing.T
-    rotations, translations = motions[3:, :turning], motions[:3, turning:]
-    return FreeDirections(
-        _SHAPES.get((number - turning, turning), "a surface with symmetry"), _unit(translations), _unit(rotations)
-    )
-
-
 def _unit(vectors: np.ndarray) -> tuple[tuple[float, float, float], ...]:
     """Return unit vectors of columns (3, number) whose largest component is positive."""
     columns = (column / np.linalg.norm(column) * np.sign(column[np.argmax(np.abs(column))]) for column in vectors.T)
@@ -452,8 +448,3 @@ def _principal_axes(points: np.ndarray, weights: np.ndarray | None = None) -> tu
     axes = vectors[:, ::-1]
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return axes, np.sqrt(np.clip(values[::-1], 0, None))
-
-
-def _differ(one: Placement, other: Placement) -> bool:
-    """Return whether two placements have different orientations."""
-    return float(Rotation.from_matrix(one.rotation.T @ other.rotation).magnitude()) > _SAME_TURN

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 from fringedic.correlation import measure_displacement
+from fringedic.surface.planes import spacing_of
 
 _ITERATIONS = 8  # of the inverse of the displacement; each multiplies its error by the strain
 _ORDER: Final = 5  # of the spline: its error is far below the noise of an image
@@ -39,7 +40,7 @@ def measure_rendered(
     rows, columns = points
     grid = np.stack(np.meshgrid(np.arange(image.shape[0]), np.arange(image.shape[1]), indexing="ij")).astype(float)
     moved = [spline_filter(_fill(_extrapolate(each)), order=_CUBIC) for each in displacement[::-1]]  # rows first
-    spacing = np.array([_spacing(rows), _spacing(columns)])
+    spacing = np.array([spacing_of(rows), spacing_of(columns)])
 
     def at(place: np.ndarray) -> np.ndarray:
         """Return the displacement (row, column) at places of the reference image."""
@@ -66,10 +67,6 @@ def measure_rendered(
         method=method,
     ).reindex(row=rows, column=columns)
     return np.stack([found["displacement_x"].values, found["displacement_y"].values])
-
-
-def _spacing(positions: np.ndarray) -> float:
-    return float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
 
 
 def _extrapolate(values: np.ndarray) -> np.ndarray:

@@ -68,8 +68,26 @@ def read_results(file: Path, labels: Sequence[int]) -> NodalResults:
             f"{file.name}: has the columns {', '.join(heading)[:200]}; it needs the node's label and U1, U2, U3"
         )
     places = [*node.values(), *moved.values(), *strained.values()]
-    table = _numbers(rows, places, file.name)
-    table = table[_rows_of(labels, table[:, 0], file.name)]
+    table = np.empty((len(rows), len(places)))
+    for index, (line, row) in enumerate(rows.items()):
+        try:
+            table[index] = [float(row[place]) for place in places]
+        except ValueError as error:
+            raise ModelError(
+                f"{file.name}: line {line} has no number in a column of the heading; write it again"
+            ) from error
+        if not table[index, 0].is_integer():
+            raise ModelError(f"{file.name}: line {line} has the node label {row[places[0]][:20]}; write whole numbers")
+    row_of = {int(label): row for row, label in enumerate(table[:, 0].tolist())}
+    if len(row_of) < len(table):
+        raise ModelError(f"{file.name}: contains a node twice; write one file for each load step, and one part")
+    missing = [label for label in labels if label not in row_of]
+    if missing:
+        raise ModelError(
+            f"{file.name}: lacks {len(missing)} of the {len(labels)} nodes of the mesh, such as {missing[0]}; write "
+            "the results of all nodes"
+        )
+    table = table[np.array([row_of[label] for label in labels])]
     displacement, strain = np.zeros((len(labels), 3)), np.zeros((len(labels), 6))
     displacement[:, list(moved)] = table[:, 1 : 1 + len(moved)]
     strain[:, list(strained)] = table[:, 1 + len(moved) :]
@@ -106,19 +124,6 @@ def read_table(file: Path) -> tuple[list[str], dict[int, list[str]]]:
     return heading, rows
 
 
-def _numbers(rows: dict[int, list[str]], places: Sequence[int], name: str) -> np.ndarray:
-    """Return these columns of all rows; the first one contains labels, which are whole numbers."""
-    table = np.empty((len(rows), len(places)))
-    for index, (line, row) in enumerate(rows.items()):
-        try:
-            table[index] = [float(row[place]) for place in places]
-        except ValueError as error:
-            raise ModelError(f"{name}: line {line} has no number in a column of the heading; write it again") from error
-        if not table[index, 0].is_integer():
-            raise ModelError(f"{name}: line {line} has the node label {row[places[0]][:20]}; write whole numbers")
-    return table
-
-
 def _columns(heading: Sequence[str], wanted: Sequence[re.Pattern[str]]) -> dict[int, int]:
     """Return the column of each quantity by its number, where there is one."""
     found = {}
@@ -127,17 +132,3 @@ def _columns(heading: Sequence[str], wanted: Sequence[re.Pattern[str]]) -> dict[
         if columns:
             found[number] = columns[0]
     return found
-
-
-def _rows_of(labels: Sequence[int], given: np.ndarray, name: str) -> np.ndarray:
-    """Return the row of each label."""
-    rows = {int(label): row for row, label in enumerate(given.tolist())}
-    if len(rows) < len(given):
-        raise ModelError(f"{name}: contains a node twice; write one file for each load step, and one part")
-    missing = [label for label in labels if label not in rows]
-    if missing:
-        raise ModelError(
-            f"{name}: lacks {len(missing)} of the {len(labels)} nodes of the mesh, such as {missing[0]}; write the "
-            "results of all nodes"
-        )
-    return np.array([rows[label] for label in labels])

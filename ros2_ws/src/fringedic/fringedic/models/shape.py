@@ -92,14 +92,47 @@ def compare_shape(
     )
     shape = points.shape[1:]
     deviation = found.along_normal.reshape(shape)
-    sigma = np.abs(_along_sight(experiment, points, found)).reshape(shape) * chosen["shape_sigma_z"].values
+    # An error of 1 m of z moves a point along its line of sight.
+    calibration = json.loads(experiment.attrs.get("calibration", "null")) or {}
+    height = float(calibration.get("camera_distance", math.inf))
+    x, y, z = points.reshape(3, -1)
+    sight = np.stack([x / (z - height), y / (z - height), np.ones(len(z))])
+    along_sight = np.asarray(np.einsum("pi,ip->p", found.normals, sight)).reshape(shape)
+    sigma = np.abs(along_sight) * chosen["shape_sigma_z"].values
     changes = [each.reshape(shape) for each in _changes(placement, found)]
     total = np.sqrt(sum((change**2 for change in changes), sigma.astype(float) ** 2))
     maps = dict(zip("xyz", points, strict=True))
     maps |= {"deviation": deviation, "sigma_deviation": total, "normalized_deviation": deviation / total}
-    figures = asdict(assess(deviation, sigma, np.zeros(shape), changes)) | _peak_to_valley(deviation, sigma)
-    return _dataset(experiment, chosen, maps, figures).assign_attrs(
-        model=model.name, placement=placement_text(placement)
+    # The range of n normal errors is 2 sqrt(2 ln n) sigma (Cramer 1946). The alignment, which the two ends share, is
+    # not part of its uncertainty.
+    known = np.isfinite(deviation) & np.isfinite(sigma)
+    if not known.any():
+        peak_to_valley = dict.fromkeys(("peak_to_valley", "sigma_peak_to_valley", "noise_peak_to_valley"), math.nan)
+    else:
+        d, s = deviation[known], sigma[known]
+        ends = s[[int(np.argmax(d)), int(np.argmin(d))]]
+        expected = 2 * math.sqrt(2 * math.log(len(d))) * float(np.sqrt(np.mean(s**2)))
+        peak_to_valley = {
+            "peak_to_valley": float(np.ptp(d)),
+            "sigma_peak_to_valley": float(np.hypot(*ends)),
+            "noise_peak_to_valley": expected,
+        }
+    figures = asdict(assess(deviation, sigma, np.zeros(shape), changes)) | peak_to_valley
+    fields: dict[str, object] = {
+        name: (MAP_DIMENSIONS[1:], values.astype(np.float32), {"units": "sigma" if "normalized" in name else "m"})
+        for name, values in maps.items()
+    }
+    for name, (units, long_name) in _FIGURES.items():
+        fields[name] = ((), figures[name], {"units": units or "m", "long_name": long_name})
+    if "time" in chosen:
+        fields["time"] = chosen["time"].variable
+    coordinates = {name: chosen[name] for name in ("row", "column", "x_mm", "y_mm") if name in chosen.coords}
+    kept = {name: experiment.attrs[name] for name in KEPT if name in experiment.attrs}
+    return (
+        xr.Dataset(fields, coordinates, kept)
+        .assign_coords(step=int(chosen["step"]))
+        .expand_dims("step")
+        .assign_attrs(model=model.name, placement=placement_text(placement))
     )
 
 
@@ -123,50 +156,7 @@ def _step_with_shape(experiment: xr.Dataset, step: int | None) -> xr.Dataset:
     raise ModelError(f"the dataset has no measured shape in {where}; choose another step or recording")
 
 
-def _along_sight(experiment: xr.Dataset, points: np.ndarray, found: Distances) -> np.ndarray:
-    """Return the change of the deviation by an error of 1 m of z, which moves a point along its line of sight."""
-    calibration = json.loads(experiment.attrs.get("calibration", "null")) or {}
-    height = float(calibration.get("camera_distance", math.inf))
-    x, y, z = points.reshape(3, -1)
-    sight = np.stack([x / (z - height), y / (z - height), np.ones(len(z))])
-    return np.asarray(np.einsum("pi,ip->p", found.normals, sight))
-
-
 def _changes(placement: Placement, found: Distances) -> list[np.ndarray]:
     """Return the change of the deviation by each independent error of the placement, one standard deviation each."""
     derivatives = np.hstack([found.normals, np.cross(found.foot - placement.centre, found.normals)])
     return [-derivatives @ deviation for deviation in placement.deviations()]
-
-
-def _peak_to_valley(deviation: np.ndarray, sigma: np.ndarray) -> dict[str, float]:
-    """Return the range of the deviation; of n normal errors it is 2 sqrt(2 ln n) sigma (Cramer 1946).
-
-    The alignment, which the two ends share, is not part of its uncertainty.
-    """
-    known = np.isfinite(deviation) & np.isfinite(sigma)
-    if not known.any():
-        return dict.fromkeys(("peak_to_valley", "sigma_peak_to_valley", "noise_peak_to_valley"), math.nan)
-    d, s = deviation[known], sigma[known]
-    ends = s[[int(np.argmax(d)), int(np.argmin(d))]]
-    expected = 2 * math.sqrt(2 * math.log(len(d))) * float(np.sqrt(np.mean(s**2)))
-    return {
-        "peak_to_valley": float(np.ptp(d)),
-        "sigma_peak_to_valley": float(np.hypot(*ends)),
-        "noise_peak_to_valley": expected,
-    }
-
-
-def _dataset(
-    experiment: xr.Dataset, step: xr.Dataset, maps: dict[str, np.ndarray], figures: dict[str, float]
-) -> xr.Dataset:
-    fields: dict[str, object] = {
-        name: (MAP_DIMENSIONS[1:], values.astype(np.float32), {"units": "sigma" if "normalized" in name else "m"})
-        for name, values in maps.items()
-    }
-    for name, (units, long_name) in _FIGURES.items():
-        fields[name] = ((), figures[name], {"units": units or "m", "long_name": long_name})
-    if "time" in step:
-        fields["time"] = step["time"].variable
-    coordinates = {name: step[name] for name in ("row", "column", "x_mm", "y_mm") if name in step.coords}
-    kept = {name: experiment.attrs[name] for name in KEPT if name in experiment.attrs}
-    return xr.Dataset(fields, coordinates, kept).assign_coords(step=int(step["step"])).expand_dims("step")

@@ -29,7 +29,7 @@ ANGLES = tuple(math.radians(each) for each in range(5, 61, 5))
 _ANGLE_STEP = math.radians(10.0)
 _WIDEST_ANGLE = math.radians(60.0)
 _INSENSITIVE = 0.01  # noise of z with the other direction of the fringes over that of the plan
-_NEARLY = 1.1  # over the smallest noise of z: a smaller angle gives fewer shadows
+_NEARLY = 1.1  # times the smallest noise of z is near enough: a smaller angle gives fewer shadows
 _FINEST_PITCH = 4.0  # [projector px], the finest that the change of the pitch proposes
 
 
@@ -138,17 +138,35 @@ def make_plan(planned: PlannedRig) -> Plan:
     """
     own = plane_noise(planned)
     directions = {each: plane_noise(_with_orientation(planned, each)) / own for each in Orientation}
-    _require_sensitivity(planned, directions)
+    if not directions[Orientation(1 - planned.orientation)] > _INSENSITIVE:  # NaN when the plan's own is infinite
+        shown, better = (each.name.lower() for each in (planned.orientation, Orientation(1 - planned.orientation)))
+        raise RigSetupError(
+            f"{shown} fringes hardly move with the height of the surface, because the projector stands along them; set "
+            f"sequence.orientation to {better}"
+        )
     patch = _centre_patch(planned)
     centre = patch.uncertainty()
     angles = tuple((each, plane_noise(_at_angle(planned, each)) / own) for each in ANGLES)
     field = field_uncertainty(planned)
+    # The variances are linear in those of the sources.
+    doubled = {each: patch.uncertainty(NoiseFactors(**{each.value: 2.0})).sigma for each in NoiseSource}
+    shares = {}
+    for name in QUANTITIES:
+        added = {each: max(doubled[each][name] ** 2 - centre.sigma[name] ** 2, 0.0) for each in NoiseSource}
+        total = sum(added.values())
+        shares[name] = {each: value / total if total else math.nan for each, value in added.items()}
+    factors = {}
+    for change, apply in _APPLY.items():
+        changed = apply(planned)
+        if changed is not None:
+            sigma = _centre_patch(changed).uncertainty().sigma
+            factors[change] = {name: sigma[name] / centre.sigma[name] for name in QUANTITIES}
     return Plan(
         planned=planned,
         centre=centre,
         field=field,
-        shares=_shares(patch, centre),
-        changes=_changes(planned, centre),
+        shares=shares,
+        changes=factors,
         directions=directions,
         angles=angles,
         angle=planned.angle,
@@ -156,16 +174,6 @@ def make_plan(planned: PlannedRig) -> Plan:
         resolution=shortest_period(planned.dic.window, planned.dic.method),
         warnings=tuple(find_warnings(planned, field)),
     )
-
-
-def _require_sensitivity(planned: PlannedRig, directions: dict[Orientation, float]) -> None:
-    """Refuse fringes that hardly move when the surface rises: the projector stands along them."""
-    if not directions[Orientation(1 - planned.orientation)] > _INSENSITIVE:  # NaN when the plan's own is infinite
-        own, other = (each.name.lower() for each in (planned.orientation, Orientation(1 - planned.orientation)))
-        raise RigSetupError(
-            f"{own} fringes hardly move with the height of the surface, because the projector stands along them; set "
-            f"sequence.orientation to {other}"
-        )
 
 
 def recommend_angle(planned: PlannedRig) -> float:
@@ -242,28 +250,6 @@ def _centre_patch(planned: PlannedRig) -> Patch:
     return Patch.at(planned, (rig.camera_width - 1) / 2, (rig.camera_height - 1) / 2)
 
 
-def _shares(patch: Patch, centre: PatchUncertainty) -> dict[str, dict[NoiseSource, float]]:
-    """Return the part of the variance of each source: variances are linear in those of the sources."""
-    doubled = {each: patch.uncertainty(NoiseFactors(**{each.value: 2.0})).sigma for each in NoiseSource}
-    shares = {}
-    for name in QUANTITIES:
-        added = {each: max(doubled[each][name] ** 2 - centre.sigma[name] ** 2, 0.0) for each in NoiseSource}
-        total = sum(added.values())
-        shares[name] = {each: value / total if total else math.nan for each, value in added.items()}
-    return shares
-
-
-def _changes(planned: PlannedRig, centre: PatchUncertainty) -> dict[PlanChange, dict[str, float]]:
-    """Return the factors of the uncertainties of all changes that are possible."""
-    factors = {}
-    for change, apply in _APPLY.items():
-        changed = apply(planned)
-        if changed is not None:
-            sigma = _centre_patch(changed).uncertainty().sigma
-            factors[change] = {name: sigma[name] / centre.sigma[name] for name in QUANTITIES}
-    return factors
-
-
 def _twice_the_frames(planned: PlannedRig) -> PlannedRig:
     groups = [list(group) for _, group in groupby(planned.patterns, key=lambda each: (each.kind, each.pitch))]
     repeated = [group if group[0].kind == PatternKind.GRAY_CODE else 2 * group for group in groups]
@@ -306,10 +292,6 @@ def _with_orientation(planned: PlannedRig, orientation: Orientation) -> PlannedR
     return replace(planned, patterns=tuple(replace(each, orientation=orientation) for each in planned.patterns))
 
 
-def _wider_window(planned: PlannedRig) -> PlannedRig:
-    return replace(planned, dic=planned.dic.model_copy(update={"window": round(1.5 * planned.dic.window)}))
-
-
 def _wider_filter(planned: PlannedRig) -> PlannedRig:
     width = 2 * planned.coupling.z_filter_px or 1.0
     return replace(planned, coupling=planned.coupling.model_copy(update={"z_filter_px": width}))
@@ -327,7 +309,9 @@ _APPLY: dict[PlanChange, Callable[[PlannedRig], PlannedRig | None]] = {
     PlanChange.HALF_THE_READ_NOISE: lambda planned: _with_sensor(planned, read=0.5, shot=1.0),
     PlanChange.FINER_PITCH: _finer_pitch,
     PlanChange.WIDER_ANGLE: _wider_angle,
-    PlanChange.WIDER_WINDOW: _wider_window,
+    PlanChange.WIDER_WINDOW: lambda planned: replace(
+        planned, dic=planned.dic.model_copy(update={"window": round(1.5 * planned.dic.window)})
+    ),
     PlanChange.WIDER_FILTER: _wider_filter,
     PlanChange.WIDER_STRAIN_WINDOW: _wider_strain_window,
 }

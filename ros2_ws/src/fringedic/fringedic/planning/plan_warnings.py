@@ -17,8 +17,8 @@ from fringedic.rig_setup.window_choice import USUAL_FEATURES
 from fringedic.settings.experiment import FINEST_DEFAULT_PITCH_PX
 
 LEAST_FRINGE = 6.0  # [camera px] three times the Nyquist limit: a pixel still passes 95 % of the modulation
-LEAST_MODULATION = 0.8  # at the edges of the field over that in focus
-LEAST_MEASURED = 0.999  # part of the surface with certain fringe orders
+LEAST_MODULATION = 0.8  # the edges of the field keep at least this part of the modulation in focus
+LEAST_MEASURED = 0.999  # at least this part of the surface has certain fringe orders
 MOST_RIPPLE = 0.1  # error by the projector's pixels over the noise of the phase; filters of z leave it as it is
 GRAZING = math.radians(10.0)  # least angle between the light and the steepest slope
 _SIDES = 21  # points along each side of the field
@@ -71,12 +71,42 @@ class PlanWarning(NamedTuple):
 
 def find_warnings(planned: PlannedRig, predicted: PatchUncertainty) -> Iterator[PlanWarning]:
     """Yield what is wrong or doubtful in a planned rig with these uncertainties."""
-    yield from _depths(planned)
-    yield from _sampling(planned)
+    plan = planned.components
+    if plan is not None:
+        depth = depth_of_field(planned)
+        if depth < 1e-3 * plan.depth_mm:
+            yield PlanWarning(PlanProblem.CAMERA_DEPTH, depth, 1e-3 * plan.depth_mm)
+        points = np.concatenate([_field_points(planned, side * 0.5e-3 * plan.depth_mm) for side in (-1, 1)], axis=1)
+        finest = planned.layout.pitches[-1]
+        blurred = planned.modulation(finest, planned.projector_blur(points))[1].min()
+        sharp = float(planned.modulation(finest, np.array(planned.configuration.projector.defocus_px))[1])
+        if blurred < LEAST_MODULATION * sharp:
+            yield PlanWarning(PlanProblem.PROJECTOR_DEPTH, float(blurred) / sharp, LEAST_MODULATION)
+    pixel, finest = planned.model.pixel_size, planned.layout.pitches[-1]
+    period, speckle = fringe_period(planned), 1e-6 * planned.configuration.texture.feature_um / pixel
+    if period < LEAST_FRINGE:
+        yield PlanWarning(PlanProblem.FRINGE_CAMERA, period, LEAST_FRINGE)
+    if finest < FINEST_DEFAULT_PITCH_PX:
+        yield PlanWarning(PlanProblem.FRINGE_PROJECTOR, finest, FINEST_DEFAULT_PITCH_PX)
+    if speckle < SMALLEST_FEATURE:
+        yield PlanWarning(PlanProblem.SMALL_SPECKLES, speckle, SMALLEST_FEATURE)
+    if speckle > LARGEST_FEATURE:
+        yield PlanWarning(PlanProblem.LARGE_SPECKLES, speckle, LARGEST_FEATURE)
+    if planned.dic.window < USUAL_FEATURES * speckle:
+        yield PlanWarning(PlanProblem.FEW_SPECKLES, planned.dic.window, USUAL_FEATURES * speckle)
+    if projector_pixel(planned) > pixel * speckle:
+        yield PlanWarning(PlanProblem.PROJECTOR_PIXELS, projector_pixel(planned) / pixel, speckle)
     slope = planned.steepest_slope
     if planned.angle + slope > math.pi / 2 - GRAZING:
         yield PlanWarning(PlanProblem.SHADOW, planned.angle + slope, math.pi / 2 - GRAZING)
-    lit = _lit_part(planned)
+    x, y = _field_points(planned)[:2]
+    rig = planned.model
+    # at a pitch of 2 pi the phase is the distance from the middle of the projector's image [px]
+    inside = [
+        np.abs(rig.phase(x, y, 0.0, 2 * math.pi, each)) <= size / 2
+        for each, size in zip(Orientation, (rig.projector_width, rig.projector_height), strict=True)
+    ]
+    lit = float(np.mean(inside[0] & inside[1]))
     if lit < 1.0:
         yield PlanWarning(PlanProblem.FIELD, lit, 1.0)
     if predicted.measured < LEAST_MEASURED:
@@ -118,50 +148,6 @@ def projector_pixel(planned: PlannedRig) -> float:
     """Return the size of a projector pixel on the reference plane along its short side [m]."""
     distance = float(np.linalg.norm(planned.model.projector_position))
     return distance / planned.model.projector_focal_length
-
-
-def _depths(planned: PlannedRig) -> Iterator[PlanWarning]:
-    plan = planned.components
-    if plan is None:
-        return
-    depth = depth_of_field(planned)
-    if depth < 1e-3 * plan.depth_mm:
-        yield PlanWarning(PlanProblem.CAMERA_DEPTH, depth, 1e-3 * plan.depth_mm)
-    points = np.concatenate([_field_points(planned, side * 0.5e-3 * plan.depth_mm) for side in (-1, 1)], axis=1)
-    finest = planned.layout.pitches[-1]
-    blurred = planned.modulation(finest, planned.projector_blur(points))[1].min()
-    sharp = float(planned.modulation(finest, np.array(planned.configuration.projector.defocus_px))[1])
-    if blurred < LEAST_MODULATION * sharp:
-        yield PlanWarning(PlanProblem.PROJECTOR_DEPTH, float(blurred) / sharp, LEAST_MODULATION)
-
-
-def _sampling(planned: PlannedRig) -> Iterator[PlanWarning]:
-    pixel, finest = planned.model.pixel_size, planned.layout.pitches[-1]
-    period, speckle = fringe_period(planned), 1e-6 * planned.configuration.texture.feature_um / pixel
-    if period < LEAST_FRINGE:
-        yield PlanWarning(PlanProblem.FRINGE_CAMERA, period, LEAST_FRINGE)
-    if finest < FINEST_DEFAULT_PITCH_PX:
-        yield PlanWarning(PlanProblem.FRINGE_PROJECTOR, finest, FINEST_DEFAULT_PITCH_PX)
-    if speckle < SMALLEST_FEATURE:
-        yield PlanWarning(PlanProblem.SMALL_SPECKLES, speckle, SMALLEST_FEATURE)
-    if speckle > LARGEST_FEATURE:
-        yield PlanWarning(PlanProblem.LARGE_SPECKLES, speckle, LARGEST_FEATURE)
-    if planned.dic.window < USUAL_FEATURES * speckle:
-        yield PlanWarning(PlanProblem.FEW_SPECKLES, planned.dic.window, USUAL_FEATURES * speckle)
-    if projector_pixel(planned) > pixel * speckle:
-        yield PlanWarning(PlanProblem.PROJECTOR_PIXELS, projector_pixel(planned) / pixel, speckle)
-
-
-def _lit_part(planned: PlannedRig) -> float:
-    """Return the part of the image that the projector's image covers."""
-    x, y = _field_points(planned)[:2]
-    rig = planned.model
-    # at a pitch of 2 pi the phase is the distance from the middle of the projector's image [px]
-    inside = [
-        np.abs(rig.phase(x, y, 0.0, 2 * math.pi, each)) <= size / 2
-        for each, size in zip(Orientation, (rig.projector_width, rig.projector_height), strict=True)
-    ]
-    return float(np.mean(inside[0] & inside[1]))
 
 
 def _field_points(planned: PlannedRig, height: float = 0.0) -> np.ndarray:

@@ -18,7 +18,6 @@ from scipy.ndimage import gaussian_filter
 from fringedic.correlation import measure_displacement
 from fringedic.frames.noise import CameraNoise
 from fringedic.phase.demodulation_kernel import CONFIDENCE
-from fringedic.phase.layout import Layout
 from fringedic.phase.noise import phase_deviation
 from fringedic.planning.planned_rig import PlannedRig
 from fringedic.surface import PreparedShape, couple, surface_strain
@@ -107,7 +106,20 @@ class Patch:
         seed = int((columns[0] + 10_000 * rows[0]) % 2**32)  # every patch has a texture of its own
         level, modulations = _light(planned, columns, rows, 0.0, seed)
         moved, _ = _light(planned, columns, rows, _SHIFT, seed)
-        return cls(planned, columns, rows, level, modulations, _correlate(planned, (level, moved), seed), seed)
+        levels = (level, moved)
+        random = np.random.default_rng(seed)
+        frames = sum(planned.layout.counts)
+        textures = [level + random.normal(0.0, np.sqrt(planned.noise.variance(level) / frames)) for level in levels]
+        dic = planned.dic
+        return cls(
+            planned,
+            columns,
+            rows,
+            level,
+            modulations,
+            measure_displacement(*textures, window=dic.window, spacing=dic.spacing, method=dic.method),
+            seed,
+        )
 
     def uncertainty(self, factors: NoiseFactors = NoiseFactors()) -> PatchUncertainty:
         """Return the uncertainties with these factors of the noise."""
@@ -121,16 +133,34 @@ class Patch:
         random = np.random.default_rng(self.seed)
         # a measured modulation scatters as much as the phase does
         scattered = [np.abs(sigma / (1 + sigma * random.standard_normal(sigma.shape))) for sigma in sigmas]
-        valid = _valid(scattered, layout)
+        valid = np.all([CONFIDENCE * sigma < 1 for sigma in scattered], axis=0)
+        for coarse, fine, ratio in zip(
+            scattered, scattered[1:], [coarse / fine for coarse, fine in pairwise(layout.pitches)], strict=False
+        ):
+            valid &= CONFIDENCE * np.hypot(coarse * ratio, fine) < np.pi
+        valid = np.asarray(valid)
         sigma = np.where(valid, sigmas[-1], np.nan)
         shape = self._shape(sigma, random.standard_normal(sigma.shape))
-        displacement = self._scaled_displacement(factors)
+        noise = self.planned.noise
+        photon, read = noise.shot * float(self.level.mean()), noise.read**2
+        factor = math.sqrt((factors.texture_photon * photon + factors.texture_read * read) / (photon + read))
+        field = self.in_plane
+        still = {name: np.full(field[name].shape, _SHIFT) for name in ("displacement_x", "displacement_y")}
+        scaled = {name: factor * field[name].to_numpy() for name in ("sigma_x", "sigma_y")}
+        arrays = {name: (("row", "column"), values) for name, values in (still | scaled).items()}
+        coordinates = {"row": self.row[0] + field["row"], "column": self.column[0] + field["column"]}
+        displacement = xr.Dataset(arrays, coordinates, field.attrs)
         prepared = PreparedShape(shape, z_filter=planned.coupling.z_filter_px)
         cloud = couple(prepared, prepared, displacement, z_filter=planned.coupling.z_filter_px)
         window, cut = planned.dic.window, math.ceil(planned.dic.window / planned.dic.spacing)
         found = {name: _rms(shape[f"sigma_{name}"].to_numpy(), window) for name in "xyz"}
         found |= {name: _rms(cloud[f"sigma_{name}"].to_numpy(), cut) for name in "uvw"}
-        found |= _strain_sigmas(cloud, planned.coupling.strain_window_px, planned.dic.spacing)
+        window = planned.coupling.strain_window_px
+        found |= dict.fromkeys(QUANTITIES[6:], math.nan)
+        if window:
+            strain = surface_strain(cloud, window=window)
+            margin = math.ceil(window / 2 / planned.dic.spacing)
+            found |= {name: _rms(strain[f"sigma_{name}"].to_numpy(), margin) for name in QUANTITIES[6:]}
         return PatchUncertainty(
             sigma=found,
             phase=_rms(sigma),
@@ -156,18 +186,6 @@ class Patch:
         )
         return planned.model.reconstruct(image, pitch, image.copy(data=sigma.astype(np.float32)), planned.orientation)
 
-    def _scaled_displacement(self, factors: NoiseFactors) -> xr.Dataset:
-        """Return the displacement of a quarter of a pixel with its uncertainty, at the points of the measurement."""
-        noise = self.planned.noise
-        photon, read = noise.shot * float(self.level.mean()), noise.read**2
-        factor = math.sqrt((factors.texture_photon * photon + factors.texture_read * read) / (photon + read))
-        field = self.in_plane
-        still = {name: np.full(field[name].shape, _SHIFT) for name in ("displacement_x", "displacement_y")}
-        scaled = {name: factor * field[name].to_numpy() for name in ("sigma_x", "sigma_y")}
-        arrays = {name: (("row", "column"), values) for name, values in (still | scaled).items()}
-        coordinates = {"row": self.row[0] + field["row"], "column": self.column[0] + field["column"]}
-        return xr.Dataset(arrays, coordinates, field.attrs)
-
 
 def _light(
     planned: PlannedRig, columns: np.ndarray, rows: np.ndarray, shift: float, seed: int
@@ -190,37 +208,6 @@ def _light(
         level = gaussian_filter(level, sensor.lens_blur_px)
         modulations = gaussian_filter(modulations, (0, sensor.lens_blur_px, sensor.lens_blur_px))
     return level, modulations
-
-
-def _correlate(planned: PlannedRig, levels: tuple[np.ndarray, np.ndarray], seed: int) -> xr.Dataset:
-    """Measure the displacement between two textures, means of the fringe frames with their noise."""
-    random = np.random.default_rng(seed)
-    frames = sum(planned.layout.counts)
-    textures = [level + random.normal(0.0, np.sqrt(planned.noise.variance(level) / frames)) for level in levels]
-    dic = planned.dic
-    return measure_displacement(*textures, window=dic.window, spacing=dic.spacing, method=dic.method)
-
-
-def _valid(sigmas: list[np.ndarray], layout: Layout) -> np.ndarray:
-    """Return where modulations and fringe orders are certain, with the limits of `absolute_phase`."""
-    valid = np.all([CONFIDENCE * sigma < 1 for sigma in sigmas], axis=0)
-    for coarse, fine, ratio in zip(sigmas, sigmas[1:], _ratios(layout), strict=False):
-        valid &= CONFIDENCE * np.hypot(coarse * ratio, fine) < np.pi
-    return np.asarray(valid)
-
-
-def _ratios(layout: Layout) -> list[float]:
-    """Return every pitch over the next finer one."""
-    return [coarse / fine for coarse, fine in pairwise(layout.pitches)]
-
-
-def _strain_sigmas(cloud: xr.Dataset, window: int, spacing: int) -> dict[str, float]:
-    names = QUANTITIES[6:]
-    if window == 0:
-        return dict.fromkeys(names, math.nan)
-    strain = surface_strain(cloud, window=window)
-    cut = math.ceil(window / 2 / spacing)
-    return {name: _rms(strain[f"sigma_{name}"].to_numpy(), cut) for name in names}
 
 
 def _rms(values: np.ndarray, margin: int = 0) -> float:

@@ -64,7 +64,11 @@ class PlannedRig:
                 f"{name}: a plan predicts phase shifting at one exposure time; remove sequence.exposures_ms and set "
                 "sequence.fringe_order to pitches or gray_code"
             )
-        model = calibration_of(_without_lens(configuration))
+        # The distortion moves pixels and hardly changes their noise.
+        camera = configuration.camera
+        model = calibration_of(
+            configuration.model_copy(update={"camera": camera.model_copy(update={"lens": type(camera.lens)()})})
+        )
         try:
             check_calibration(model, RigSetup(None, None, rig.patterns()))
         except (CalibrationError, PatternError) as error:
@@ -142,12 +146,6 @@ class PlannedRig:
         amplitude = 2 * float(np.mean(light * np.cos(phase)))
         passed = np.sinc(1 / pitch) * np.exp(-2 * (np.pi * blur / pitch) ** 2)
         return float(light.mean()), np.asarray(amplitude * passed)
-
-
-def _without_lens(configuration: VirtualRigConfiguration) -> VirtualRigConfiguration:
-    """Return a configuration without distortion, which moves pixels and hardly changes their noise."""
-    camera = configuration.camera
-    return configuration.model_copy(update={"camera": camera.model_copy(update={"lens": type(camera.lens)()})})
 
 
 def pixel_ripple(pitch: float, blur: float) -> float:

@@ -47,14 +47,21 @@ def write_calibration_report(
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = _content(calibration, traceability or Traceability())
-    path.write_text(render_page("calibration.html.j2", **content), encoding="utf-8")
-    return path
-
-
-def _content(calibration: RigCalibration, traceability: Traceability) -> dict[str, Any]:
+    traceability = traceability or Traceability()
     rig = calibration.model
-    return {
+    names = [each.title for each in calibration.parameters]
+    distortion = calibration.model.camera_distortion
+    if distortion is None:
+        lens = (
+            "The distortion of the camera's lens was not measured; the camera is assumed to be ideal. One image of a "
+            "printed grid is enough to measure it."
+        )
+    else:
+        lens = (
+            f"The distortion of the lens was measured by a printed grid (polynomial of order {distortion.order}). "
+            "Every pixel has the line of sight of its ideal pixel; images are not resampled."
+        )
+    content = {
         "calibration": calibration,
         "rig": rig,
         "colour": _COLOURS[calibration.verdict],
@@ -83,15 +90,26 @@ def _content(calibration: RigCalibration, traceability: Traceability) -> dict[st
             {
                 "title": each.title,
                 "unit": "" if each.unit == "1" else each.unit,
-                "value": _with_digits(each.value, each.sigma),
+                "value": (
+                    f"{each.value:.6g}"
+                    if not each.sigma > 0
+                    else f"{each.value:.{max(0, min(8, 1 - math.floor(math.log10(each.sigma))))}f}"
+                ),
                 "sigma": number_text(each.sigma, 2),
             }
             for each in calibration.parameters
         ],
-        "strong": _strong(calibration),
+        "strong": [
+            f"{names[i]} and {names[j]}: {calibration.correlation[i, j]:+.3f}"
+            for i in range(len(names))
+            for j in range(i)
+            if abs(calibration.correlation[i, j]) > _STRONG
+        ],
         "advice": _advice(calibration),
-        "lens": _lens(calibration),
+        "lens": lens,
     }
+    path.write_text(render_page("calibration.html.j2", **content), encoding="utf-8")
+    return path
 
 
 _MODELS = {
@@ -209,17 +227,6 @@ def _plane(plane: PlaneResult) -> dict[str, Any]:
     }
 
 
-def _strong(calibration: RigCalibration) -> list[str]:
-    """Return the strongly correlated pairs of parameters."""
-    names = [each.title for each in calibration.parameters]
-    return [
-        f"{names[i]} and {names[j]}: {calibration.correlation[i, j]:+.3f}"
-        for i in range(len(names))
-        for j in range(i)
-        if abs(calibration.correlation[i, j]) > _STRONG
-    ]
-
-
 def _advice(calibration: RigCalibration) -> list[str]:
     if not calibration.go:
         steps = []
@@ -240,19 +247,6 @@ def _advice(calibration: RigCalibration) -> list[str]:
     if calibration.warnings:
         steps.insert(0, "Read the warnings; the calibration can be used.")
     return steps
-
-
-def _lens(calibration: RigCalibration) -> str:
-    distortion = calibration.model.camera_distortion
-    if distortion is None:
-        return (
-            "The distortion of the camera's lens was not measured; the camera is assumed to be ideal. One image of a "
-            "printed grid is enough to measure it."
-        )
-    return (
-        f"The distortion of the lens was measured by a printed grid (polynomial of order {distortion.order}). Every "
-        "pixel has the line of sight of its ideal pixel; images are not resampled."
-    )
 
 
 def _pictures(calibration: RigCalibration) -> dict[str, str]:
@@ -276,10 +270,3 @@ def _pictures(calibration: RigCalibration) -> dict[str, str]:
 
 def _micro(value: float) -> str:
     return "unknown" if math.isnan(value) else f"{number_text(1e6 * value, 3)} µm"
-
-
-def _with_digits(value: float, sigma: float) -> str:
-    """Return a value rounded to the second digit of its standard deviation."""
-    if not sigma > 0:
-        return f"{value:.6g}"
-    return f"{value:.{max(0, min(8, 1 - math.floor(math.log10(sigma))))}f}"

@@ -41,21 +41,6 @@ def write_check_page(
     """
     from fringedic.figures.calibration import draw_flatness
 
-    page = render_page(
-        "check.html.j2",
-        rig=rig,
-        created=f"{created:%Y-%m-%d %H:%M} UTC",
-        sentences=[check_sentence(check), *check_warning_sentences(check)],
-        figures=_figures(check),
-        traceability=traceability_entries(traceability or Traceability()),
-        picture=base64_png(draw_flatness(check)),
-    )
-    path.write_text(page, encoding="utf-8")
-    return path
-
-
-def _figures(check: RigCheck) -> list[tuple[str, str, str]]:
-    """Return (figure, value, limit)."""
     noise = f"up to {_micro(check.noise)} (noise of a pixel)"
     rows = [("flatness of the plate, RMS of block means", _micro(check.flatness), noise)]
     if not math.isnan(check.expected):
@@ -70,7 +55,17 @@ def _figures(check: RigCheck) -> list[tuple[str, str, str]]:
         rows.append(("change of the plate since its first measurement", _micro(check.drift), noise))
     if not math.isnan(check.age):
         rows.append(("age of the calibration", f"{check.age / 86400:.1f} days", "30 days"))
-    return rows
+    page = render_page(
+        "check.html.j2",
+        rig=rig,
+        created=f"{created:%Y-%m-%d %H:%M} UTC",
+        sentences=[check_sentence(check), *check_warning_sentences(check)],
+        figures=rows,
+        traceability=traceability_entries(traceability or Traceability()),
+        picture=base64_png(draw_flatness(check)),
+    )
+    path.write_text(page, encoding="utf-8")
+    return path
 
 
 def _micro(value: float) -> str:

@@ -69,6 +69,48 @@ def hardware_entries(data: ReportData) -> list[Entry]:
     """Return camera, lens, light, view, exposure, texture and calibration target."""
     hardware = data.metadata.hardware
     focal = hardware.focal_length_mm
+    rig, scale, size = data.calibration, data.pixel_size, data.image_size
+    if scale is None or size is None:
+        note = "give the scale by --pixel-size-mm" if data.images_alone else "no calibration"
+        view = without(("field of view", "image scale", "stand-off"), note)
+    else:
+        width, height = 1e3 * scale / rig.get("pixel_aspect", 1.0) * size[0], 1e3 * scale * size[1]
+        origin = "from the calibration" if rig else "as entered"
+        stand_off = f"{1e3 * rig['camera_distance']:.4g} mm" if rig else None
+        view = [
+            Entry("field of view", f"{width:.4g} x {height:.4g} mm", f"on the reference plane, {origin}"),
+            Entry("image scale", f"{1e-3 / scale:.4g} px/mm ({1e6 * scale:.4g} µm/px)", origin),
+            Entry("stand-off", stand_off, origin if rig else "not known of images alone"),
+        ]
+    exposures = data.exposures
+    time_ms = data.camera.get("exposure_ms") if exposures is None else 1e3 * exposures.exposure_time
+    exposure = [Entry("exposure time", None if time_ms is None else f"{time_ms:.4g} ms")]
+    if exposures is None:
+        exposure += without(("acquisition rate", "lost frames"), "needs the recording")
+    else:
+        frames = "one frame per step" if exposures.frames == 1 else f"{exposures.frames} frames per step"
+        rate = "" if math.isnan(exposures.frame_rate) else f", {exposures.frame_rate:.3g} frames/s within a step"
+        exposure += [Entry("acquisition rate", frames + rate), Entry("lost frames", str(exposures.dropped))]
+    advice, dataset = data.advice, data.dataset
+    texture = [entered("patterning technique", data.metadata.specimen.pattern, "specimen.pattern")]
+    if advice is None:
+        note = "needs two steps at rest and the recorded textures"
+        texture += without(("feature size", "image noise", "coverage"), note)
+    else:
+        feature = float(np.nanmean(advice.feature_size))
+        frames = "" if data.exposures is None else f" of {data.exposures.frames} frames"
+        level = dataset["texture"].attrs.get("units", "grey level") if "texture" in dataset else "grey level"
+        texture += [
+            Entry(
+                "feature size",
+                f"{feature:.2f} px{data.length(feature)}",
+                "half-height width of the texture's autocorrelation",
+            ),
+            Entry("image noise", f"{number_text(advice.image_noise, 3)} {level}", f"of the texture, the mean{frames}"),
+            Entry("contrast", f"{number_text(advice.contrast, 3)} {level}", "standard deviation of the texture"),
+            Entry("mean gradient", f"{number_text(advice.mean_gradient, 3)} {level}/px"),
+            Entry("coverage", f"{100 * advice.coverage:.0f} % dark"),
+        ]
     return [
         entered("camera", hardware.camera or (VIRTUAL if data.simulated else ""), "hardware.camera"),
         Entry("image resolution", None if data.image_size is None else "{} x {} px".format(*data.image_size)),
@@ -77,55 +119,8 @@ def hardware_entries(data: ReportData) -> list[Entry]:
         entered("aperture", hardware.aperture, "hardware.aperture"),
         entered("filters", hardware.filters, "hardware.filters"),
         entered("lighting", hardware.lighting, "hardware.lighting"),
-        *_view_entries(data),
-        *_exposure_entries(data),
-        *_texture_entries(data),
+        *view,
+        *exposure,
+        *texture,
         entered("calibration target", hardware.calibration_target, "hardware.calibration_target"),
-    ]
-
-
-def _view_entries(data: ReportData) -> list[Entry]:
-    rig, scale, size = data.calibration, data.pixel_size, data.image_size
-    if scale is None or size is None:
-        note = "give the scale by --pixel-size-mm" if data.images_alone else "no calibration"
-        return without(("field of view", "image scale", "stand-off"), note)
-    width, height = 1e3 * scale / rig.get("pixel_aspect", 1.0) * size[0], 1e3 * scale * size[1]
-    origin = "from the calibration" if rig else "as entered"
-    stand_off = f"{1e3 * rig['camera_distance']:.4g} mm" if rig else None
-    return [
-        Entry("field of view", f"{width:.4g} x {height:.4g} mm", f"on the reference plane, {origin}"),
-        Entry("image scale", f"{1e-3 / scale:.4g} px/mm ({1e6 * scale:.4g} µm/px)", origin),
-        Entry("stand-off", stand_off, origin if rig else "not known of images alone"),
-    ]
-
-
-def _exposure_entries(data: ReportData) -> list[Entry]:
-    exposures = data.exposures
-    time_ms = data.camera.get("exposure_ms") if exposures is None else 1e3 * exposures.exposure_time
-    exposure = Entry("exposure time", None if time_ms is None else f"{time_ms:.4g} ms")
-    if exposures is None:
-        return [exposure, *without(("acquisition rate", "lost frames"), "needs the recording")]
-    frames = "one frame per step" if exposures.frames == 1 else f"{exposures.frames} frames per step"
-    rate = "" if math.isnan(exposures.frame_rate) else f", {exposures.frame_rate:.3g} frames/s within a step"
-    return [exposure, Entry("acquisition rate", frames + rate), Entry("lost frames", str(exposures.dropped))]
-
-
-def _texture_entries(data: ReportData) -> list[Entry]:
-    advice, dataset = data.advice, data.dataset
-    pattern = entered("patterning technique", data.metadata.specimen.pattern, "specimen.pattern")
-    if advice is None:
-        note = "needs two steps at rest and the recorded textures"
-        return [pattern, *without(("feature size", "image noise", "coverage"), note)]
-    size = float(np.nanmean(advice.feature_size))
-    frames = "" if data.exposures is None else f" of {data.exposures.frames} frames"
-    level = dataset["texture"].attrs.get("units", "grey level") if "texture" in dataset else "grey level"
-    return [
-        pattern,
-        Entry(
-            "feature size", f"{size:.2f} px{data.length(size)}", "half-height width of the texture's autocorrelation"
-        ),
-        Entry("image noise", f"{number_text(advice.image_noise, 3)} {level}", f"of the texture, the mean{frames}"),
-        Entry("contrast", f"{number_text(advice.contrast, 3)} {level}", "standard deviation of the texture"),
-        Entry("mean gradient", f"{number_text(advice.mean_gradient, 3)} {level}/px"),
-        Entry("coverage", f"{100 * advice.coverage:.0f} % dark"),
     ]

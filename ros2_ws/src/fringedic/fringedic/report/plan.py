@@ -16,8 +16,6 @@ from fringedic.planning.sentences import (
 )
 from fringedic.report.templates import base64_png, render_page
 
-PLAN_PAGE = "plan.html"
-
 
 def write_plan_page(plan: Plan, path: Path, *, rig: str) -> Path:
     """Write a plan as one HTML file with its figures and return the path.

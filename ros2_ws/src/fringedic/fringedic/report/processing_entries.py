@@ -7,9 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from fringedic.metadata import CheckMetadata
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
 from fringedic.wording.numbers import number_text
@@ -46,47 +44,47 @@ def analysis_entries(data: ReportData) -> list[Entry]:
     else:
         filtering = []
     width = data.parameters.get("strain", coupling).get("strain_window_px", 0)
-    strain = _strain_entries(data, width, dic["spacing"], dic["window"])
-    model = [] if data.images_alone else [_camera_model(data.calibration)]
-    return [*entries, *_correlation_entries(data, dic), *filtering, *strain, *model]
-
-
-def _correlation_entries(data: ReportData, dic: dict[str, Any]) -> list[Entry]:
     window, spacing, method = dic["window"], dic["spacing"], dic.get("method", "dense")
+    if not width:
+        strain = [Entry("strain", "not computed")]
+    else:
+        points = 2 * round((width - 1) / 2 / spacing) + 1
+        covered = (points - 1) * spacing
+        gauge = covered + window
+        strain = [
+            Entry("strain window", f"{points} points ({covered} px){data.length(covered)}"),
+            Entry("virtual strain gauge", f"{gauge} px{data.length(gauge)}", "(L_window - 1) L_step + L_subset"),
+            Entry(
+                "strain formulation",
+                f"Green-Lagrange in the {'image' if data.images_alone else 'tangent plane of the surface'}, from "
+                "least-squares planes",
+            ),
+            Entry("strain post-filter", "none"),
+        ]
+    model = [] if data.images_alone else [_camera_model(data.calibration)]
+    fraction = dic.get("rereference_fraction")
+    if fraction is None:
+        references = []
+    else:
+        condition = (
+            f"when fewer than {100 * fraction:g} % of the usual points agree with the reference"
+            if fraction
+            else "never"
+        )
+        references = [
+            Entry("new reference image", condition, "displacements are then composed in the initial configuration")
+        ]
     return [
+        *entries,
         Entry("method", method),
         Entry("subset", f"{window} px{data.length(window)}", "bi-triangular window with the same noise"),
         Entry("step (spacing)", f"{spacing} px{data.length(spacing)}"),
         *(Entry(name, value) for name, value in _CORRELATION.get(method, {}).items()),
         Entry("regularisation", "none beyond the window"),
-        *_new_references(dic.get("rereference_fraction")),
-    ]
-
-
-def _new_references(fraction: float | None) -> list[Entry]:
-    if fraction is None:
-        return []
-    condition = (
-        f"when fewer than {100 * fraction:g} % of the usual points agree with the reference" if fraction else "never"
-    )
-    return [Entry("new reference image", condition, "displacements are then composed in the initial configuration")]
-
-
-def _strain_entries(data: ReportData, width: int, spacing: int, window: int) -> list[Entry]:
-    if not width:
-        return [Entry("strain", "not computed")]
-    points = 2 * round((width - 1) / 2 / spacing) + 1
-    covered = (points - 1) * spacing
-    gauge = covered + window
-    return [
-        Entry("strain window", f"{points} points ({covered} px){data.length(covered)}"),
-        Entry("virtual strain gauge", f"{gauge} px{data.length(gauge)}", "(L_window - 1) L_step + L_subset"),
-        Entry(
-            "strain formulation",
-            f"Green-Lagrange in the {'image' if data.images_alone else 'tangent plane of the surface'}, from "
-            "least-squares planes",
-        ),
-        Entry("strain post-filter", "none"),
+        *references,
+        *filtering,
+        *strain,
+        *model,
     ]
 
 
@@ -102,53 +100,54 @@ def fringe_entries(data: ReportData) -> list[Entry]:
     rig, phase = data.calibration, data.parameters.get("phase", {})
     projector = data.metadata.hardware.projector or (VIRTUAL if data.simulated else "")
     threshold = phase.get("minimum_modulation_grey_level")
+    exposures = data.exposures
+    if exposures is None or not exposures.pitches:
+        patterns = without(("pitches", "frames per pitch", "unwrapping"), "needs the recording")
+    else:
+        method = phase.get("method", "steps")
+        fringe_images = sum(exposures.shifts)
+        one_image = method == "one_image" or (method == "auto" and fringe_images == 1)
+        pitches = len(exposures.pitches)
+        if pitches > 1:
+            unwrapping = "hierarchical, from coarse to fine"
+        elif phase.get("relative_phase") == "accept":
+            unwrapping = "spatial: the phase is known except for a constant number of fringes"
+        else:
+            unwrapping = "none: one fringe covers the view"
+        patterns = [
+            Entry("pitches", ", ".join(f"{pitch:g}" for pitch in exposures.pitches) + " projector px"),
+            Entry("frames per pitch", ", ".join(map(str, exposures.shifts)), f"{exposures.orientation} fringes"),
+            Entry("phase method", "last fringe image alone" if one_image else "phase stepping"),
+            Entry("unwrapping", unwrapping),
+        ]
+    if not rig:
+        base = without(("base camera to projector", "angle"), "no calibration")
+    else:
+        distance, angle = base_and_angle(rig)
+        degrees = f"{math.degrees(angle):.2f}°"
+        base = [
+            Entry("base camera to projector", f"{1e3 * distance:.4g} mm"),
+            Entry("angle between camera and projector", degrees, "seen from the origin of the rig"),
+        ]
+    dataset, noise = data.dataset, None
+    if "phase_sigma" in dataset:
+        medians = []
+        for index in range(dataset.sizes["step"]):
+            values = dataset["phase_sigma"].isel(step=index).values
+            if np.isfinite(values).any():
+                medians.append(float(np.nanmedian(values)))
+        noise = f"{1e3 * float(np.median(medians)):.3g} mrad" if medians else None
     return [
         entered("projector", projector, "hardware.projector"),
         Entry("resolution", f"{rig['projector_width']} x {rig['projector_height']} px" if rig else None),
-        *_pattern_entries(data, phase),
-        *_base_entries(rig),
+        *patterns,
+        *base,
         Entry(
             "modulation threshold",
             None if threshold is None else f"{threshold:g} grey levels above the threshold of the pixel's noise",
         ),
-        Entry("phase noise", _phase_noise(data.dataset), "median of the stated standard deviation"),
+        Entry("phase noise", noise, "median of the stated standard deviation"),
         *_calibration_entries(data, rig),
-    ]
-
-
-def _pattern_entries(data: ReportData, phase: dict[str, Any]) -> list[Entry]:
-    exposures = data.exposures
-    if exposures is None or not exposures.pitches:
-        return without(("pitches", "frames per pitch", "unwrapping"), "needs the recording")
-    return [
-        Entry("pitches", ", ".join(f"{pitch:g}" for pitch in exposures.pitches) + " projector px"),
-        Entry("frames per pitch", ", ".join(map(str, exposures.shifts)), f"{exposures.orientation} fringes"),
-        Entry("phase method", _phase_method(phase.get("method", "steps"), sum(exposures.shifts))),
-        Entry("unwrapping", _unwrapping(phase, len(exposures.pitches))),
-    ]
-
-
-def _phase_method(method: str, fringe_images: int) -> str:
-    one_image = method == "one_image" or (method == "auto" and fringe_images == 1)
-    return "last fringe image alone" if one_image else "phase stepping"
-
-
-def _unwrapping(phase: dict[str, Any], pitches: int) -> str:
-    if pitches > 1:
-        return "hierarchical, from coarse to fine"
-    if phase.get("relative_phase") == "accept":
-        return "spatial: the phase is known except for a constant number of fringes"
-    return "none: one fringe covers the view"
-
-
-def _base_entries(rig: dict[str, Any]) -> list[Entry]:
-    if not rig:
-        return without(("base camera to projector", "angle"), "no calibration")
-    base, angle = base_and_angle(rig)
-    degrees = f"{math.degrees(angle):.2f}°"
-    return [
-        Entry("base camera to projector", f"{1e3 * base:.4g} mm"),
-        Entry("angle between camera and projector", degrees, "seen from the origin of the rig"),
     ]
 
 
@@ -171,17 +170,6 @@ def base_and_angle(rig: dict[str, Any]) -> tuple[float, float]:
     return float(np.linalg.norm(projector - camera)), float(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def _phase_noise(dataset: xr.Dataset) -> str | None:
-    if "phase_sigma" not in dataset:
-        return None
-    medians = []
-    for index in range(dataset.sizes["step"]):
-        values = dataset["phase_sigma"].isel(step=index).values
-        if np.isfinite(values).any():
-            medians.append(float(np.nanmedian(values)))
-    return f"{1e3 * float(np.median(medians)):.3g} mrad" if medians else None
-
-
 def _calibration_entries(data: ReportData, rig: dict[str, Any]) -> list[Entry]:
     if not rig:
         return [Entry("calibration", None, "the recording contains none")]
@@ -194,6 +182,14 @@ def _calibration_entries(data: ReportData, rig: dict[str, Any]) -> list[Entry]:
         else "nothing was found beside the calibration file"
     )
     response = known.response_fringe
+    if not known.checks:
+        distance = Entry("known-distance check", None, "none was made; `fringedic check` does it")
+    else:
+        last = known.checks[-1]
+        found = "no distance measured"
+        if last.distance_mm is not None and last.expected_mm is not None:
+            found = f"{number_text(last.distance_mm)} mm for {number_text(last.expected_mm)} mm"
+        distance = Entry("known-distance check", f"{found}, {last.created}", last.verdict)
     return [
         Entry("calibration", source, known.verdict),
         *_residual_entries(data, note),
@@ -202,7 +198,7 @@ def _calibration_entries(data: ReportData, rig: dict[str, Any]) -> list[Entry]:
             None if response is None else f"{response:.4f} fringe",
             "not measured" if response is None else "ripple of the calibration's planes",
         ),
-        _known_distance(known.checks),
+        distance,
     ]
 
 
@@ -215,29 +211,13 @@ def _residual_entries(data: ReportData, note: str) -> list[Entry]:
         "" if known.held_out_um is None else f"; planes kept out of the fit: {number_text(known.held_out_um, 3)} µm"
     )
     noise = f"noise alone would leave {number_text(known.predicted_um, 3)} µm{held_out}"
+    first = str(np.datetime_as_string(data.dataset["time"].values.min(), unit="s"))
+    begin = datetime.fromisoformat(first).replace(tzinfo=UTC)
     return [
         Entry(
             "date of the calibration",
             f"{datetime.fromisoformat(known.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
-            _age(data.dataset, known.created),
+            f"{(begin - datetime.fromisoformat(known.created)).total_seconds() / 3600:.1f} hours before the test",
         ),
         Entry("plane residual", f"{number_text(known.residual_um, 3)} µm RMS", noise),
     ]
-
-
-def _known_distance(checks: list[CheckMetadata]) -> Entry:
-    """Return the latest check of the calibration by a flat plane and a known distance."""
-    if not checks:
-        return Entry("known-distance check", None, "none was made; `fringedic check` does it")
-    last = checks[-1]
-    distance, expected = last.distance_mm, last.expected_mm
-    found = "no distance measured"
-    if distance is not None and expected is not None:
-        found = f"{number_text(distance)} mm for {number_text(expected)} mm"
-    return Entry("known-distance check", f"{found}, {last.created}", last.verdict)
-
-
-def _age(dataset: xr.Dataset, created: str) -> str:
-    first = str(np.datetime_as_string(dataset["time"].values.min(), unit="s"))
-    begin = datetime.fromisoformat(first).replace(tzinfo=UTC)
-    return f"{(begin - datetime.fromisoformat(created)).total_seconds() / 3600:.1f} hours before the test"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +56,12 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
     require_new(output, overwrite)
     group = list(experiments.values())
     found = compare_specimens(group)
+    values: dict[str, list[str]] = {}
+    for other in group[1:]:
+        for name, one, another in differing_attributes(group[0], other):
+            if name not in _OF_EACH:
+                known = values.setdefault(name, [entry_text(one)])
+                known += [text for text in [entry_text(another)] if text not in known]
     return write_compared(
         "specimens.html.j2",
         output,
@@ -65,7 +71,7 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
         _panels,
         titles={name: experiment_title(each) for name, each in experiments.items()},
         sentences=specimen_sentences(found),
-        differences=_differences(group),
+        differences=[(name, "; ".join(texts)) for name, texts in values.items()],
         charts=[chart_html(chart) for chart in specimen_charts("Load over strain", _curves(experiments))],
     )
 
@@ -97,17 +103,6 @@ def _curves(experiments: Mapping[str, xr.Dataset]) -> dict[str, SpecimenCurve]:
             values = {str(key): each.values for key, each in curve.data_vars.items()}
             curves[name] = specimen_curve(values, elastic_constants(dataset).axial)
     return curves
-
-
-def _differences(group: Sequence[xr.Dataset]) -> list[tuple[str, str]]:
-    """Return the settings, parts of calibration and rig and the software that differ, with all their values."""
-    values: dict[str, list[str]] = {}
-    for other in group[1:]:
-        for name, one, another in differing_attributes(group[0], other):
-            if name not in _OF_EACH:
-                known = values.setdefault(name, [entry_text(one)])
-                known += [text for text in [entry_text(another)] if text not in known]
-    return [(name, "; ".join(texts)) for name, texts in values.items()]
 
 
 def _panels(name: str) -> tuple[Panel, ...]:

@@ -100,10 +100,6 @@ class RigGeometry:
         for name in _TUPLES:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "model", current_model_name(self.model))
-        self._check_numbers()
-        self._check_consistency()
-
-    def _check_numbers(self) -> None:
         for name in _NUMBERS:
             value = getattr(self, name)
             if not all(map(math.isfinite, value if name in _TUPLES else (value,))):
@@ -115,8 +111,6 @@ class RigGeometry:
             raise CalibrationError(
                 f"projector_position is {self.projector_position}: the projector has to be above the reference plane"
             )
-
-    def _check_consistency(self) -> None:
         if self.model not in (SIX_PARAMETER, GENERAL):
             raise CalibrationError(f"model is '{self.model}': use '{SIX_PARAMETER}' or '{GENERAL}'")
         if len(self.covariance) != len(self.parameter_names) ** 2:

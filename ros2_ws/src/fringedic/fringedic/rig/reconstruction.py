@@ -85,16 +85,43 @@ def reconstruct_surface(
     ImageError
         The phase is not an image (row, column), or sigma has another shape.
     """
-    image, sigma = _checked_images(phase, sigma_phase)
+    image = np.asarray(phase)
+    if image.ndim != 2:
+        raise ImageError(f"phase of shape {image.shape}: an image (row, column) is needed")
+    if image.dtype != np.float32:
+        image = image.astype(float)
+    sigma = np.full(image.shape, np.nan, image.dtype) if sigma_phase is None else np.asarray(sigma_phase, image.dtype)
+    if sigma.shape != image.shape:
+        raise ImageError(f"sigma of shape {sigma.shape} for a phase of shape {image.shape}")
+    image, sigma = _read_only(image), _read_only(sigma)
     row, column = pixel_positions(phase, image.shape)
     lens = geometry.projector_lens(orientation)
     result = np.empty((8, *image.shape), image.dtype)
+    # the projector's axes in the order: across the fringes, along them, backward
+    axes = geometry.projector_axes.T[[0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]]
+    distortion = geometry.camera_distortion
+    unknown = (np.empty((0, 0, 3, HEIGHT_POWERS)), 1.0)
+    coefficients, height = variance_map(geometry, orientation) if geometry.covariance else unknown
     reconstruct_image(
         image,
         sigma,
-        _sight(geometry, row, column, orientation),
+        _Sight(
+            _read_only(row),
+            _read_only(column),
+            _NO_FIELD if distortion is None else distortion.field(row, column),
+            geometry.ray_matrix,
+            axes @ geometry.ray_matrix,
+            axes @ (np.array([0.0, 0.0, geometry.camera_distance]) - geometry.projector_position),
+            geometry.camera_distance,
+        ),
         _Fringes(*geometry.fringe_scale(pitch, orientation), any(lens), lens),
-        _variances(geometry, row, column, orientation, image.dtype),
+        _Variances(
+            coefficients,
+            height,
+            np.clip(row / (geometry.camera_height - 1), 0, 1) * GRID,
+            (np.clip(column / (geometry.camera_width - 1), 0, 1) * GRID).astype(image.dtype),
+            np.searchsorted(column, np.linspace(0, geometry.camera_width - 1, GRID + 1)[1:-1]),
+        ),
         result,
     )
     names = ("x", "y", "z", "sigma_x", "sigma_y", "sigma_z", "noise_z")
@@ -113,55 +140,11 @@ def reconstruct_surface(
     )
 
 
-def _checked_images(
-    phase: np.ndarray | xr.DataArray, sigma_phase: np.ndarray | xr.DataArray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return phase and sigma [rad] (row, column) in the float type of the phase."""
-    image = np.asarray(phase)
-    if image.ndim != 2:
-        raise ImageError(f"phase of shape {image.shape}: an image (row, column) is needed")
-    if image.dtype != np.float32:
-        image = image.astype(float)
-    sigma = np.full(image.shape, np.nan, image.dtype) if sigma_phase is None else np.asarray(sigma_phase, image.dtype)
-    if sigma.shape != image.shape:
-        raise ImageError(f"sigma of shape {sigma.shape} for a phase of shape {image.shape}")
-    return _read_only(image), _read_only(sigma)
-
-
 def _read_only(array: np.ndarray) -> np.ndarray:
     """Return an array as Numba compiles one variant for: those of messages are read-only, those of a fit are not."""
     view = np.ascontiguousarray(array).view()
     view.setflags(write=False)
     return view
-
-
-def _sight(geometry: RigGeometry, row: np.ndarray, column: np.ndarray, orientation: Orientation) -> _Sight:
-    # the projector's axes in the order: across the fringes, along them, backward
-    axes = geometry.projector_axes.T[[0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]]
-    distortion = geometry.camera_distortion
-    return _Sight(
-        _read_only(row),
-        _read_only(column),
-        _NO_FIELD if distortion is None else distortion.field(row, column),
-        geometry.ray_matrix,
-        axes @ geometry.ray_matrix,
-        axes @ (np.array([0.0, 0.0, geometry.camera_distance]) - geometry.projector_position),
-        geometry.camera_distance,
-    )
-
-
-def _variances(
-    geometry: RigGeometry, row: np.ndarray, column: np.ndarray, orientation: Orientation, dtype: np.dtype[Any]
-) -> _Variances:
-    unknown = (np.empty((0, 0, 3, HEIGHT_POWERS)), 1.0)
-    coefficients, height = variance_map(geometry, orientation) if geometry.covariance else unknown
-    return _Variances(
-        coefficients,
-        height,
-        np.clip(row / (geometry.camera_height - 1), 0, 1) * GRID,
-        (np.clip(column / (geometry.camera_width - 1), 0, 1) * GRID).astype(dtype),
-        np.searchsorted(column, np.linspace(0, geometry.camera_width - 1, GRID + 1)[1:-1]),
-    )
 
 
 @njit(cache=True, nogil=True, parallel=True)

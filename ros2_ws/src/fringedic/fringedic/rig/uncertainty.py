@@ -66,7 +66,23 @@ def position_errors(
 
     def position(values: np.ndarray) -> np.ndarray:
         moved = with_parameters(plain, geometry.parameter_names, values)
-        return _positions(moved, column, row, phase, orientation)
+        rays = np.stack([column, row, np.ones(column.shape)], axis=-1) @ moved.ray_matrix.T
+        order = [0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]
+        axes = moved.projector_axes[:, order]
+        camera = np.array([0.0, 0.0, moved.camera_distance])
+        along_m, along_n, along_back = np.moveaxis(rays @ axes, -1, 0)
+        camera_m, camera_n, camera_back = (camera - moved.projector_position) @ axes
+        scale, axis = moved.fringe_scale(_PITCH, orientation)
+        target = scale * phase + axis
+        t = -(camera_m + target * camera_back) / (along_m + target * along_back)
+        lens = moved.projector_lens(orientation)
+        for _ in range(_NEWTON_STEPS if any(lens) else 0):
+            back = -1 / (camera_back + t * along_back)
+            m, n = (camera_m + t * along_m) * back, (camera_n + t * along_n) * back
+            m_t, n_t = (along_m + m * along_back) * back, (along_n + n * along_back) * back
+            seen, by_m, by_n = distorted(m, n, *lens)
+            t = t - (seen - target) / (by_m * m_t + by_n * n_t)
+        return np.moveaxis(camera + t[..., None] * rays, -1, 0)
 
     errors = [(position(centre + step) - position(centre - step)) / 2 for step in _directions(geometry)]
     return np.array(errors).reshape(-1, 3, *column.shape)
@@ -145,26 +161,3 @@ def _directions(geometry: RigGeometry) -> np.ndarray:
     kept = share > _NEGLIGIBLE * max(share[-1], 0.0) if count else np.zeros(0, bool)
     result: np.ndarray = (vectors[:, kept] * np.sqrt(share[kept])).T * sigma
     return result
-
-
-def _positions(
-    geometry: RigGeometry, column: np.ndarray, row: np.ndarray, phase: np.ndarray, orientation: Orientation
-) -> np.ndarray:
-    """Intersect the lines of sight of scattered ideal pixels with their fringes; images: see `reconstruct_image`."""
-    rays = np.stack([column, row, np.ones(column.shape)], axis=-1) @ geometry.ray_matrix.T
-    order = [0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]
-    axes = geometry.projector_axes[:, order]
-    camera = np.array([0.0, 0.0, geometry.camera_distance])
-    along_m, along_n, along_back = np.moveaxis(rays @ axes, -1, 0)
-    camera_m, camera_n, camera_back = (camera - geometry.projector_position) @ axes
-    scale, axis = geometry.fringe_scale(_PITCH, orientation)
-    target = scale * phase + axis
-    t = -(camera_m + target * camera_back) / (along_m + target * along_back)
-    lens = geometry.projector_lens(orientation)
-    for _ in range(_NEWTON_STEPS if any(lens) else 0):
-        back = -1 / (camera_back + t * along_back)
-        m, n = (camera_m + t * along_m) * back, (camera_n + t * along_n) * back
-        m_t, n_t = (along_m + m * along_back) * back, (along_n + n * along_back) * back
-        seen, by_m, by_n = distorted(m, n, *lens)
-        t = t - (seen - target) / (by_m * m_t + by_n * n_t)
-    return np.moveaxis(camera + t[..., None] * rays, -1, 0)

@@ -15,7 +15,7 @@ from fringedic.frames.noise import CameraNoise
 
 FEWEST_STEPS = 3  # a variance over fewer frames has an uncertainty of 100 %
 _SAMPLED = 100_000  # pixels of each frame
-_CLASSES = 24  # of brightness
+_CLASSES = 24  # pixels are sorted into so many classes of brightness
 _CLEAR = 4  # standard deviations between a pixel and either end of the scale, so that clipping is rarer than 1e-4
 
 
@@ -85,12 +85,22 @@ def estimate_camera_noise(
     if not moments:
         raise RigSetupError("every pixel is black or saturated: set the exposure first (`fringedic live`)")
     levels, variances, flickers = zip(*moments, strict=True)
-    level, variance = _unclipped(np.concatenate(levels), np.concatenate(variances), full_scale)
+    level = np.concatenate(levels)
+    variance = np.concatenate(variances)
+    margin = _CLEAR * math.sqrt(float(np.median(variance)))
+    inner = (level > margin) & (level < full_scale - margin)
+    level, variance = (level[inner], variance[inner]) if inner.any() else (level, variance)
     classes = np.array_split(np.argsort(level, kind="stable"), min(_CLASSES, level.size))
     mean_level = np.array([level[each].mean() for each in classes])
     mean_variance = np.array([variance[each].mean() for each in classes])
+    weight = 1 / np.maximum(mean_variance, 1e-12)
+    basis = np.stack([np.ones_like(mean_level), mean_level], axis=1) * weight[:, None]
+    read_variance, shot = nnls(basis, mean_variance * weight)[0]
     return EstimatedCameraNoise(
-        _fit(mean_level, mean_variance), mean_level, mean_variance, float(np.mean(np.array(flickers)))
+        CameraNoise(math.sqrt(read_variance), float(shot)),
+        mean_level,
+        mean_variance,
+        float(np.mean(np.array(flickers))),
     )
 
 
@@ -104,18 +114,3 @@ def _pixel_moments(images: Sequence[np.ndarray], full_scale: float) -> tuple[np.
     brightness = grey.mean(axis=1)
     grey *= (brightness.mean() / brightness)[:, None]
     return grey.mean(axis=0), grey.var(axis=0, ddof=1), float(brightness.std(ddof=1) / brightness.mean())
-
-
-def _unclipped(level: np.ndarray, variance: np.ndarray, full_scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels whose noise does not reach either end of the scale; all where there is none."""
-    margin = _CLEAR * math.sqrt(float(np.median(variance)))
-    inner = (level > margin) & (level < full_scale - margin)
-    return (level[inner], variance[inner]) if inner.any() else (level, variance)
-
-
-def _fit(level: np.ndarray, variance: np.ndarray) -> CameraNoise:
-    """Fit ``read^2 + shot * level`` to variances; their own standard deviation is proportional to them."""
-    weight = 1 / np.maximum(variance, 1e-12)
-    basis = np.stack([np.ones_like(level), level], axis=1) * weight[:, None]
-    read_variance, shot = nnls(basis, variance * weight)[0]
-    return CameraNoise(math.sqrt(read_variance), float(shot))

@@ -113,52 +113,63 @@ class LiveView:
         if image.shape != self._shape:
             self.reset()
             self._shape = image.shape
-        region = _checked(self._region, image.shape)
-        part = _part(image, region)
+        region = self._region
+        rows, columns = image.shape
+        if region is None:
+            region = 0, 0, columns, rows
+        else:
+            column, row, width, height = region
+            if min(column, row) < 0 or min(width, height) < 16 or column + width > columns or row + height > rows:
+                raise ImageError(
+                    f"the region of {width}x{height} px from column {column} and row {row} is not inside the image of "
+                    f"{columns}x{rows} px, or has fewer than 16 px along a side"
+                )
+        column, row, width, height = region
+        part = image[row : row + height, column : column + width]
         if self._given_full_scale is None:
             self._full_scale = max(self._full_scale, full_scale_of([image]))
         saturated = part >= self._full_scale
         if not _shows(pattern, PatternKind.FRINGES):
             self._modulation = math.nan
-        noise = self._noise_and_pattern(part, pattern)
+        plain = pattern is None or _shows(pattern, PatternKind.WHITE) or _shows(pattern, PatternKind.GREY)
+        if not plain and not _shows(pattern, PatternKind.FRINGES):
+            self._speckle = math.nan
+        if pattern not in self._before:
+            noise = math.nan
+        else:
+            first, second = _piece(self._before[pattern]), _piece(part)
+            if plain:
+                self._speckle = _speckle_size(first, second)
+            # Neighbours that change alike show motion, or light that changes locally.
+            noise = image_noise(first, second, np.ones(first.shape, bool))
+            coarse_first, coarse_second = _binned(first), _binned(second)
+            coarse = image_noise(coarse_first, coarse_second, np.ones(coarse_first.shape, bool))
+            noise = noise if 2 * coarse <= MOVING * noise else math.nan
+            if not math.isnan(noise):
+                self._noises[pattern] = noise
         self._before[pattern] = part.copy()
         if _shows(pattern, PatternKind.FRINGES):
             self._look_at_fringes(pattern)
+        counts = np.bincount(part.ravel(), minlength=int(self._full_scale) + 1)
+        levels = np.minimum(np.arange(counts.size) * CLASSES // (int(self._full_scale) + 1), CLASSES - 1)
+        if pattern not in self._noises:
+            focus = math.nan
+        else:
+            now = sharpness(part, self._noises[pattern], saturated)
+            self._best[pattern] = best = max(self._best.get(pattern, 0.0), now)
+            focus = now / best if best > 0 else math.nan
         return Figures(
             region=region,
-            focus=self._focus(part, saturated, pattern),
+            focus=focus,
             mean=float(part.mean()),
             saturated=float(saturated.mean()),
             dark=float((part == 0).mean()),
-            histogram=_histogram(part, self._full_scale),
+            histogram=np.bincount(levels, weights=counts, minlength=CLASSES).astype(np.uint32),
             speckle_size=self._speckle,
             modulation=self._modulation,
             noise=noise,
             full_scale=self._full_scale,
         )
-
-    def _noise_and_pattern(self, part: np.ndarray, pattern: ProjectedPattern | None) -> float:
-        """Return the noise of a pixel [grey level], NaN while something moves; update the speckle size."""
-        plain = pattern is None or _shows(pattern, PatternKind.WHITE) or _shows(pattern, PatternKind.GREY)
-        if not plain and not _shows(pattern, PatternKind.FRINGES):
-            self._speckle = math.nan
-        if pattern not in self._before:
-            return math.nan
-        first, second = _piece(self._before[pattern]), _piece(part)
-        if plain:
-            self._speckle = _speckle_size(first, second)
-        noise = _noise(first, second)
-        if not math.isnan(noise):
-            self._noises[pattern] = noise
-        return noise
-
-    def _focus(self, part: np.ndarray, saturated: np.ndarray, pattern: ProjectedPattern | None) -> float:
-        """Return the sharpness over the best so far with this pattern, with the latest known noise."""
-        if pattern not in self._noises:
-            return math.nan
-        now = sharpness(part, self._noises[pattern], saturated)
-        self._best[pattern] = best = max(self._best.get(pattern, 0.0), now)
-        return now / best if best > 0 else math.nan
 
     def _look_at_fringes(self, pattern: ProjectedPattern | None) -> None:
         """Update modulation and speckle size after the last shift of a cycle."""
@@ -166,7 +177,10 @@ class LiveView:
         shifts = pattern.shifts
         if pattern.shift != shifts or shifts < 3:
             return
-        cycle = [_shifted(pattern, shift) for shift in range(1, shifts + 1)]
+        cycle = [
+            ProjectedPattern(pattern.kind, pattern.orientation, pattern.pitch, shift, pattern.shifts)
+            for shift in range(1, shifts + 1)
+        ]
         if any(each not in self._before for each in cycle):
             return
         frames = [self._before[each] for each in cycle]
@@ -206,38 +220,12 @@ def sharpness(image: np.ndarray, noise: float, saturated: np.ndarray | None = No
     return max(float(energy.mean(dtype=np.float64)) - SOBEL_NOISE * noise**2, 0.0) / brightness**2
 
 
-def _checked(region: Rectangle | None, shape: tuple[int, ...]) -> Rectangle:
-    rows, columns = shape
-    if region is None:
-        return 0, 0, columns, rows
-    column, row, width, height = region
-    if min(column, row) < 0 or min(width, height) < 16 or column + width > columns or row + height > rows:
-        raise ImageError(
-            f"the region of {width}x{height} px from column {column} and row {row} is not inside the image of "
-            f"{columns}x{rows} px, or has fewer than 16 px along a side"
-        )
-    return region
-
-
-def _part(image: np.ndarray, region: Rectangle) -> np.ndarray:
-    column, row, width, height = region
-    return image[row : row + height, column : column + width]
-
-
 def _piece(part: np.ndarray) -> np.ndarray:
     """Return the middle of a region as float64."""
     rows, columns = part.shape
     height, width = min(rows, PIECE), min(columns, PIECE)
     top, left = (rows - height) // 2, (columns - width) // 2
     return part[top : top + height, left : left + width].astype(np.float64)
-
-
-def _noise(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the noise of a pixel, NaN where neighbours change alike: by motion, or by light that changes locally."""
-    noise = image_noise(first, second, np.ones(first.shape, bool))
-    coarse_first, coarse_second = _binned(first), _binned(second)
-    coarse = image_noise(coarse_first, coarse_second, np.ones(coarse_first.shape, bool))
-    return noise if 2 * coarse <= MOVING * noise else math.nan
 
 
 def _binned(image: np.ndarray) -> np.ndarray:
@@ -249,15 +237,5 @@ def _speckle_size(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.mean(texture(first, second, np.ones(first.shape, bool))[0]))
 
 
-def _histogram(part: np.ndarray, full_scale: float) -> np.ndarray:
-    counts = np.bincount(part.ravel(), minlength=int(full_scale) + 1)
-    levels = np.minimum(np.arange(counts.size) * CLASSES // (int(full_scale) + 1), CLASSES - 1)
-    return np.bincount(levels, weights=counts, minlength=CLASSES).astype(np.uint32)
-
-
 def _shows(pattern: ProjectedPattern | None, kind: PatternKind) -> bool:
     return pattern is not None and pattern.kind == kind
-
-
-def _shifted(pattern: ProjectedPattern, shift: int) -> ProjectedPattern:
-    return ProjectedPattern(pattern.kind, pattern.orientation, pattern.pitch, shift, pattern.shifts)

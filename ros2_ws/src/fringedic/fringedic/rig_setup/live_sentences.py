@@ -66,79 +66,64 @@ def live_entries(figures: LiveFigures, kind: PatternKind) -> list[LiveEntry]:
         White light and fringes cover the surface; other patterns are lines on a dark ground, for which brightness and
         speckle size mean nothing.
     """
-    entries = [_saturated(figures)]
-    if kind in (PatternKind.WHITE, PatternKind.FRINGES):
-        entries += [_brightness(figures), _dark(figures), _speckles(figures.speckle_size)]
-    if kind == PatternKind.FRINGES:
-        entries.append(_fringes(figures))
-    return [*entries, _noise(figures)]
-
-
-def _saturated(figures: LiveFigures) -> LiveEntry:
     good = figures.saturated <= MOST_SATURATED
     advice = "good" if good else "shorten the exposure, close the aperture or reduce reflections"
-    return LiveEntry("saturated", f"{100 * figures.saturated:.2f} % of the pixels", advice, good)
-
-
-def _brightness(figures: LiveFigures) -> LiveEntry:
-    bright = _percentile(figures.histogram, 0.99)
-    good = bright >= LEAST_RANGE
-    return LiveEntry(
-        "brightness",
-        f"mean {figures.mean:.0f} of {figures.full_scale:.0f}, brightest {100 * bright:.0f} % of the range",
-        "good" if good else "add light, use a longer exposure or open the aperture",
-        good,
-    )
-
-
-def _dark(figures: LiveFigures) -> LiveEntry:
-    good = figures.dark <= MOST_DARK
-    advice = "good" if good else "add light, or raise the black level of the camera"
-    return LiveEntry("black", f"{100 * figures.dark:.2f} % of the pixels", advice, good)
-
-
-def _speckles(size: float) -> LiveEntry:
-    advice = f"good ({SMALLEST_FEATURE:g} to {LARGEST_FEATURE:g} px)"
-    if math.isnan(size):
-        advice = "no pattern is visible: focus the camera, or apply a pattern to the surface"
-    elif size < SMALLEST_FEATURE:
-        advice = f"below {SMALLEST_FEATURE:g} px they alias: move the camera closer, or apply a coarser pattern"
-    elif size > LARGEST_FEATURE:
-        advice = (
-            f"above {LARGEST_FEATURE:g} px they reduce the resolution: move the camera away, or apply a finer pattern"
+    entries = [LiveEntry("saturated", f"{100 * figures.saturated:.2f} % of the pixels", advice, good)]
+    if kind in (PatternKind.WHITE, PatternKind.FRINGES):
+        cumulated = np.cumsum(np.asarray(figures.histogram, np.int64))
+        bright = float(np.searchsorted(cumulated, 0.99 * cumulated[-1])) / (len(figures.histogram) - 1)
+        good = bright >= LEAST_RANGE
+        size = figures.speckle_size
+        advice = f"good ({SMALLEST_FEATURE:g} to {LARGEST_FEATURE:g} px)"
+        if math.isnan(size):
+            advice = "no pattern is visible: focus the camera, or apply a pattern to the surface"
+        elif size < SMALLEST_FEATURE:
+            advice = f"below {SMALLEST_FEATURE:g} px they alias: move the camera closer, or apply a coarser pattern"
+        elif size > LARGEST_FEATURE:
+            advice = (
+                f"above {LARGEST_FEATURE:g} px they reduce the resolution: move the camera away, or apply a finer "
+                "pattern"
+            )
+        entries += [
+            LiveEntry(
+                "brightness",
+                f"mean {figures.mean:.0f} of {figures.full_scale:.0f}, brightest {100 * bright:.0f} % of the range",
+                "good" if good else "add light, use a longer exposure or open the aperture",
+                good,
+            ),
+            LiveEntry(
+                "black",
+                f"{100 * figures.dark:.2f} % of the pixels",
+                "good" if figures.dark <= MOST_DARK else "add light, or raise the black level of the camera",
+                figures.dark <= MOST_DARK,
+            ),
+            LiveEntry("speckles", _known(size, f"{size:.1f} px"), advice, SMALLEST_FEATURE <= size <= LARGEST_FEATURE),
+        ]
+    if kind == PatternKind.FRINGES:
+        good = figures.modulation >= LEAST_MODULATION * figures.full_scale
+        entries.append(
+            LiveEntry(
+                "fringes",
+                _known(figures.modulation, f"amplitude {figures.modulation:.1f} grey levels"),
+                "good" if good else "focus the projector, reduce the room light or show wider fringes",
+                good,
+            )
         )
-    return LiveEntry("speckles", _known(size, f"{size:.1f} px"), advice, SMALLEST_FEATURE <= size <= LARGEST_FEATURE)
-
-
-def _fringes(figures: LiveFigures) -> LiveEntry:
-    good = figures.modulation >= LEAST_MODULATION * figures.full_scale
-    return LiveEntry(
-        "fringes",
-        _known(figures.modulation, f"amplitude {figures.modulation:.1f} grey levels"),
-        "good" if good else "focus the projector, reduce the room light or show wider fringes",
-        good,
-    )
-
-
-def _noise(figures: LiveFigures) -> LiveEntry:
     still = math.isfinite(figures.noise)
     ratio = figures.mean / max(figures.noise, 1e-9)
-    return LiveEntry(
-        "noise",
-        _known(figures.noise, f"{figures.noise:.2f} grey levels, {ratio:.0f} times below the mean"),
-        "good" if still else "the image moves: keep rig and specimen still",
-        still,
-    )
+    return [
+        *entries,
+        LiveEntry(
+            "noise",
+            _known(figures.noise, f"{figures.noise:.2f} grey levels, {ratio:.0f} times below the mean"),
+            "good" if still else "the image moves: keep rig and specimen still",
+            still,
+        ),
+    ]
 
 
 def _known(value: float, text: str) -> str:
     return text if math.isfinite(value) else "not known"
-
-
-def _percentile(histogram: np.ndarray | Sequence[int], share: float) -> float:
-    """Return the part of the range, 0 to 1, below which a share of the pixels lies."""
-    cumulated = np.cumsum(np.asarray(histogram, np.int64))
-    return float(np.searchsorted(cumulated, share * cumulated[-1])) / (len(histogram) - 1)
 
 
 TITLES = {

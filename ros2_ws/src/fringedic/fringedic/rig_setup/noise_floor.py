@@ -90,7 +90,18 @@ def noise_of_recording(path: str | os.PathLike[str]) -> NoiseMeasurement:
             )
         reference = int(reference_of[-1])
         static = [step for step in measured if step != reference]
-        recorded = _recorded_at_rest(Path(path), str(dataset.attrs["experiment"]), set(measured), reference)
+        experiment = str(dataset.attrs["experiment"])
+        steps = set(measured)
+        found: defaultdict[int, list[np.ndarray]] = defaultdict(list)
+        recorded = _RecordedAtRest()
+        for frame in frames(BagReader(Path(path)), experiment):
+            record = frame.record
+            if record.step not in steps:
+                continue
+            found[record.index].append(thinned(frame.image).copy())
+            if record.step == reference:
+                recorded.add(frame)
+        recorded.thinned = [found[index] for index in sorted(found)]
         camera = estimate_camera_noise(recorded.thinned)
         settings = _settings(dataset)
         limits = recorded.displacement_limits(camera.noise, settings)
@@ -200,20 +211,6 @@ def _displacement_limits(texture: np.ndarray, variance: np.ndarray, window: int)
 def _rms(values: np.ndarray) -> float:
     known = values[np.isfinite(values)]
     return math.sqrt(np.mean(known**2)) if known.size else math.nan
-
-
-def _recorded_at_rest(path: Path, experiment: str, steps: set[int], reference: int) -> _RecordedAtRest:
-    found: defaultdict[int, list[np.ndarray]] = defaultdict(list)
-    kept = _RecordedAtRest()
-    for frame in frames(BagReader(path), experiment):
-        record = frame.record
-        if record.step not in steps:
-            continue
-        found[record.index].append(thinned(frame.image).copy())
-        if record.step == reference:
-            kept.add(frame)
-    kept.thinned = [found[index] for index in sorted(found)]
-    return kept
 
 
 def _settings(dataset: xr.Dataset) -> dict[str, int]:

@@ -22,48 +22,41 @@ def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time:
     exposure_time, settle_time
         Of the rig's frames [s].
     """
-    return [_delay(timing), _refresh(timing, exposure_time), _settle_time(timing, settle_time)]
-
-
-def _delay(timing: ProjectorTiming) -> str:
     if math.isnan(timing.delay):
-        return (
+        sentence = (
             f"A pattern is visible less than {1e3 * max(timing.earliest, 0.0):.1f} ms after the request: before the "
             "camera can begin an exposure."
         )
-    sentence = (
-        f"A pattern is visible {1e3 * timing.delay:.2f} ms after the request (standard uncertainty "
-        f"{1e3 * timing.delay_sigma:.2f} ms); the standard deviation between patterns is {1e3 * timing.jitter:.2f} ms."
-    )
-    if max(timing.rise, timing.fall) > _SLOW:
-        sentence += (
-            f" Its light rises with a time constant of {1e3 * timing.rise:.1f} ms and falls with one of "
-            f"{1e3 * timing.fall:.1f} ms."
+    else:
+        sentence = (
+            f"A pattern is visible {1e3 * timing.delay:.2f} ms after the request (standard uncertainty "
+            f"{1e3 * timing.delay_sigma:.2f} ms); the standard deviation between patterns is "
+            f"{1e3 * timing.jitter:.2f} ms."
         )
-    return sentence
-
-
-def _refresh(timing: ProjectorTiming, exposure_time: float) -> str:
+        if max(timing.rise, timing.fall) > _SLOW:
+            sentence += (
+                f" Its light rises with a time constant of {1e3 * timing.rise:.1f} ms and falls with one of "
+                f"{1e3 * timing.fall:.1f} ms."
+            )
     refresh = timing.refresh
-    if refresh is None:
-        return "The light is steady."
-    whole = timing.whole_exposure(exposure_time)
-    remaining = max(100 * timing.beat(whole), 0.01)
-    return (
-        f"The light pulses at {refresh.frequency:.2f} Hz: an exposure of {1e3 * exposure_time:.4g} ms is up to "
-        f"{100 * timing.beat(exposure_time):.2g} % brighter or darker than the mean, one of {1e3 * whole:.4f} ms "
-        f"({round(whole / refresh.period)} x {1e3 * refresh.period:.4f} ms) by less than {remaining:.1g} %."
-    )
-
-
-def _settle_time(timing: ProjectorTiming, settle_time: float) -> str:
+    light = "The light is steady."
+    if refresh is not None:
+        whole = timing.whole_exposure(exposure_time)
+        remaining = max(100 * timing.beat(whole), 0.01)
+        light = (
+            f"The light pulses at {refresh.frequency:.2f} Hz: an exposure of {1e3 * exposure_time:.4g} ms is up to "
+            f"{100 * timing.beat(exposure_time):.2g} % brighter or darker than the mean, one of {1e3 * whole:.4f} ms "
+            f"({round(whole / refresh.period)} x {1e3 * refresh.period:.4f} ms) by less than {remaining:.1g} %."
+        )
     needed = 1e3 * timing.settled()
     if settle_time < timing.settled():
-        return (
+        settling = (
             f"A settle time of {1e3 * settle_time:.4g} ms is too short: a pattern needs {needed:.1f} ms to appear "
             "completely, and earlier exposures show the previous pattern."
         )
-    return f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."
+    else:
+        settling = f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."
+    return [sentence, light, settling]
 
 
 def response_sentences(curve: ResponseCurve, before: HarmonicError, after: HarmonicError, shifts: int) -> list[str]:
@@ -92,17 +85,16 @@ def response_sentences(curve: ResponseCurve, before: HarmonicError, after: Harmo
         f"{after.rms(each):.5f} fringe with corrected patterns."
         for each in before.error
     ]
-    return [*sentences, _recommendation(assess_correction(before, after), shifts)]
-
-
-def _recommendation(correction: Correction, shifts: int) -> str:
+    correction = assess_correction(before, after)
     if correction is Correction.UNNECESSARY:
-        return "The response is linear enough; no correction is needed."
-    if correction is Correction.HARMFUL:
-        return "Corrected patterns increase the error: the curve does not belong to these fringes. Measure again."
-    if shifts == 3:
-        return "Three shifts need the correction: without it, this error is in every shape."
-    return (
-        f"With the {shifts} shifts of the rig file the error is smaller than with three. The correction takes no time "
-        "and also improves the coarse pitches."
-    )
+        advice = "The response is linear enough; no correction is needed."
+    elif correction is Correction.HARMFUL:
+        advice = "Corrected patterns increase the error: the curve does not belong to these fringes. Measure again."
+    elif shifts == 3:
+        advice = "Three shifts need the correction: without it, this error is in every shape."
+    else:
+        advice = (
+            f"With the {shifts} shifts of the rig file the error is smaller than with three. The correction takes no "
+            "time and also improves the coarse pitches."
+        )
+    return [*sentences, advice]

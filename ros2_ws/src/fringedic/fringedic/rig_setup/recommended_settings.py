@@ -21,7 +21,7 @@ from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
 from fringedic.evaluation.noise_floor import NoiseFloor, noise_floor
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.settings_warnings import image_warnings
-from fringedic.rig_setup.static_images import ImageFigures, StaticImages, describe_images
+from fringedic.rig_setup.static_images import StaticImages, describe_images
 from fringedic.rig_setup.window_choice import FIRST_WINDOW, WindowRequest, choose_window
 from fringedic.wording.arguments import check_arguments, number, optional, whole
 
@@ -123,7 +123,12 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
     (True, 255.0)
     """
     request = WindowRequest(wanted_noise, wanted_period)
-    _check_requests(request, pixel_size, strain_window)
+    wanted = {"wanted_noise": request.noise, "wanted_period": request.period, "pixel_size": pixel_size}
+    for name, value in wanted.items():
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise RigSetupError(f"{name} = {value}: it must be a positive number")
+    if int(strain_window) != strain_window or strain_window < 3 or strain_window % 2 == 0:
+        raise RigSetupError(f"strain_window = {strain_window} points: it must be an odd number of at least 3")
     images = StaticImages.checked(reference, static_1, static_2, mask)
     figures = describe_images(images, full_scale)
 
@@ -135,30 +140,8 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
         request, noise_scale=noise_scale, feature_size=max(figures.feature_size), widest=limit
     )
     floors = _noise_floors(images, window, strain_window)
-    advice = _advice(images.shape, figures, floors, window, int(strain_window))
-    advice = replace(
-        advice,
-        wanted_noise=wanted_noise,
-        wanted_period=wanted_period,
-        pixel_size=pixel_size,
-        table=tuple((w, noise_scale / (w - 1), shortest_period(w)) for w in TABLE_WINDOWS if w <= limit),
-    )
-    return replace(advice, warnings=(*warnings, *image_warnings(advice)))
-
-
-def _check_requests(request: WindowRequest, pixel_size: float | None, strain_window: int) -> None:
-    wanted = {"wanted_noise": request.noise, "wanted_period": request.period, "pixel_size": pixel_size}
-    for name, value in wanted.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise RigSetupError(f"{name} = {value}: it must be a positive number")
-    if int(strain_window) != strain_window or strain_window < 3 or strain_window % 2 == 0:
-        raise RigSetupError(f"strain_window = {strain_window} points: it must be an odd number of at least 3")
-
-
-def _advice(shape: tuple[int, int], figures: ImageFigures, floors: _Floors, window: int, strain_window: int) -> Advice:
-    """Return the advice without requests, table and warnings."""
-    return Advice(
-        shape=shape,
+    advice = Advice(
+        shape=images.shape,
         full_scale=figures.full_scale,
         quantisation=figures.quantisation,
         saturated=figures.saturated,
@@ -171,7 +154,7 @@ def _advice(shape: tuple[int, int], figures: ImageFigures, floors: _Floors, wind
         mean_gradient=figures.mean_gradient,
         window=window,
         spacing=_spacing(window),
-        strain_window=strain_window,
+        strain_window=int(strain_window),
         period=shortest_period(window),
         noise=floors.spatial,
         noise_predicted=floors.predicted,
@@ -184,6 +167,14 @@ def _advice(shape: tuple[int, int], figures: ImageFigures, floors: _Floors, wind
         table=(),
         warnings=(),
     )
+    advice = replace(
+        advice,
+        wanted_noise=wanted_noise,
+        wanted_period=wanted_period,
+        pixel_size=pixel_size,
+        table=tuple((w, noise_scale / (w - 1), shortest_period(w)) for w in TABLE_WINDOWS if w <= limit),
+    )
+    return replace(advice, warnings=(*warnings, *image_warnings(advice)))
 
 
 def _spacing(window: int) -> int:

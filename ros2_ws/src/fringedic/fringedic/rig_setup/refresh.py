@@ -14,7 +14,7 @@ from fringedic.rig_setup.timing_samples import FEWEST_CHANGES, Array, TimingSamp
 _FREQUENCIES = (15.0, 600.0)  # [Hz], search range: slower is no projector, faster is averaged by any exposure
 _FALSE_ALARM = 1e-6  # probability that noise is taken for a refresh
 _HARMONICS = 6  # of the refresh that are fitted at most; test_timing.py fixes the accuracy of the frequency
-_BINS = 60  # of a refresh period
+_BINS = 60  # a refresh period is divided into so many
 _EVENNESS = 0.02  # weight of the differences between neighbouring bins against that of the samples
 
 
@@ -69,7 +69,7 @@ def find_refresh(samples: TimingSamples, settled: NDArray[np.bool_], dark: float
     strongest = float(tried[int(power.argmax())])
     if not _is_line(float(power.max()), len(time), len(tried)):
         return None
-    strongest = _refined(time, light, strongest, span, 1)
+    strongest = _refine(time, light, strongest, span, 1)
     left = light - _harmonics(time, light, strongest, 2)[1]
     fundamental = strongest
     for part in (6, 5, 4, 3, 2):
@@ -80,25 +80,25 @@ def find_refresh(samples: TimingSamples, settled: NDArray[np.bool_], dark: float
             fundamental = lower
             break
     fewest = max(1, min(_HARMONICS, math.floor(0.8 / (fundamental * samples.exposure_time)), len(time) // 12))
-    frequency = _refined(time, light, fundamental, span, fewest)
-    sigma = _frequency_sigma(time, light, frequency, span, fewest)
-    begin = time - samples.exposure_time / 2
-    return Refresh(frequency, sigma, _waveform(begin * frequency, samples.exposure_time * frequency, light + 1.0))
-
-
-def _waveform(begin: Array, length: float, seen: Array) -> Array:
-    """Return the light in the bins of a period from means over a length [periods]: non-negative and smooth."""
+    frequency = _refine(time, light, fundamental, span, fewest)
+    step = 0.02 / span
+    least, *beside = (_left_over(time, light, frequency + shift, fewest) for shift in (0.0, step, -step))
+    curvature = (sum(beside) - 2.0 * least) / step**2
+    variance = least / max(len(time) - 2 * fewest - 2, 1)
+    sigma = math.sqrt(2.0 * variance / curvature) if curvature > 0.0 else math.nan
+    begin = (time - samples.exposure_time / 2) * frequency
+    length = samples.exposure_time * frequency
     edges = np.arange(_BINS + 1) / _BINS
     # share of the exposure in each bin: whole periods, and the last part, which may end in the next period
-    whole, part = divmod(length, 1.0)
+    whole, last = divmod(length, 1.0)
     phase = (begin % 1.0)[:, np.newaxis]
     met = np.zeros((len(begin), _BINS))
     for shift in (0.0, 1.0):
-        met += np.diff(np.clip(edges + shift, phase, phase + part), axis=1)
+        met += np.diff(np.clip(edges + shift, phase, phase + last), axis=1)
     met += whole / _BINS
     even = _EVENNESS * (np.eye(_BINS) - np.roll(np.eye(_BINS), 1, axis=1))
-    light, _ = nnls(np.vstack([met / length, even]), np.concatenate([seen, np.zeros(_BINS)]))
-    return np.asarray(light / light.mean())
+    pulses, _ = nnls(np.vstack([met / length, even]), np.concatenate([light + 1.0, np.zeros(_BINS)]))
+    return Refresh(frequency, sigma, np.asarray(pulses / pulses.mean()))
 
 
 def _line_strength(time: Array, light: Array, frequencies: Array) -> Array:
@@ -133,7 +133,7 @@ def _left_over(time: Array, light: Array, frequency: float, count: int) -> float
     return float(((light - _harmonics(time, light, frequency, count)[1]) ** 2).sum())
 
 
-def _refined(time: Array, light: Array, frequency: float, span: float, count: int) -> float:
+def _refine(time: Array, light: Array, frequency: float, span: float, count: int) -> float:
     """Return the frequency nearby with the least squares."""
     width = 0.3 / span
     found = minimize_scalar(
@@ -143,11 +143,3 @@ def _refined(time: Array, light: Array, frequency: float, span: float, count: in
         options={"xatol": 1e-5 * width},
     )
     return float(found.x)
-
-
-def _frequency_sigma(time: Array, light: Array, frequency: float, span: float, count: int) -> float:
-    step = 0.02 / span
-    least, *beside = (_left_over(time, light, frequency + shift, count) for shift in (0.0, step, -step))
-    curvature = (sum(beside) - 2.0 * least) / step**2
-    variance = least / max(len(time) - 2 * count - 2, 1)
-    return math.sqrt(2.0 * variance / curvature) if curvature > 0.0 else math.nan

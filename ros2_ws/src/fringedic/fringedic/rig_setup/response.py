@@ -116,8 +116,22 @@ def measure_response(
     >>> round(measure_response(frames, patterns).gamma, 2)
     2.0
     """
-    level = _levels(frames, patterns)
-    contrast = _contrast(frames, level, saturation_level(frames, saturation))
+    if frames.ndim != 3 or len(frames) != len(patterns):
+        raise ImageError(f"frames of shape {frames.shape} for {len(patterns)} greys")
+    if any(each.kind != PatternKind.GREY for each in patterns):
+        raise PatternError("the response is measured from uniform greys, but there are other patterns")
+    level = np.array([FULL_SCALE * each.shift / each.shifts for each in patterns])
+    if not (level == 0).any() or not (level == FULL_SCALE).any() or len(np.unique(level)) < 3:
+        raise PatternError("the response needs black, full white and greys in between")
+    saturation = saturation_level(frames, saturation)
+    dark = frames[level == 0].mean(axis=0, dtype=float)
+    white = frames[level == FULL_SCALE].mean(axis=0, dtype=float)
+    unsaturated = frames.max(axis=0) < saturation
+    used = unsaturated & (white - dark > _LEAST_CONTRAST)
+    if used.sum() < _LEAST_PIXELS:
+        why = "saturates: shorten the exposure" if not unsaturated.any() else "hardly differs between black and white"
+        raise PatternError(f"response curve: the image {why}")
+    contrast = _Contrast(dark, white, used)
     rise = float(np.sum(contrast.rise))
     measured = np.array([np.sum(contrast.rise_of(frame)) for frame in frames.astype(float)]) / rise
     shown, group = np.unique(level, return_inverse=True)
@@ -127,40 +141,13 @@ def measure_response(
         raise PatternError("response curve: brighter greys do not make brighter images; are frames out of order?")
     curve = PchipInterpolator(shown, growing)(np.arange(FULL_SCALE + 1))
     curve = np.maximum.accumulate(np.clip((curve - curve[0]) / (curve[-1] - curve[0]), 0.0, 1.0))
-    return ResponseCurve(tuple(curve.tolist()), _scatter(frames, contrast, growing[group]))
-
-
-def _levels(frames: np.ndarray, patterns: Sequence[ProjectedPattern]) -> Array:
-    """Return the requested grey level of each frame, 0 to 255."""
-    if frames.ndim != 3 or len(frames) != len(patterns):
-        raise ImageError(f"frames of shape {frames.shape} for {len(patterns)} greys")
-    if any(each.kind != PatternKind.GREY for each in patterns):
-        raise PatternError("the response is measured from uniform greys, but there are other patterns")
-    level = np.array([FULL_SCALE * each.shift / each.shifts for each in patterns])
-    if not (level == 0).any() or not (level == FULL_SCALE).any() or len(np.unique(level)) < 3:
-        raise PatternError("the response needs black, full white and greys in between")
-    return level
-
-
-def _contrast(frames: np.ndarray, level: Array, saturation: float) -> _Contrast:
-    dark = frames[level == 0].mean(axis=0, dtype=float)
-    white = frames[level == FULL_SCALE].mean(axis=0, dtype=float)
-    unsaturated = frames.max(axis=0) < saturation
-    used = unsaturated & (white - dark > _LEAST_CONTRAST)
-    if used.sum() < _LEAST_PIXELS:
-        why = "saturates: shorten the exposure" if not unsaturated.any() else "hardly differs between black and white"
-        raise PatternError(f"response curve: the image {why}")
-    return _Contrast(dark, white, used)
-
-
-def _scatter(frames: np.ndarray, contrast: _Contrast, expected: Array) -> float:
-    """Return the standard deviation of the curves of 8 x 8 parts of the image about the expected one."""
+    expected = growing[group]
     rows, columns = (np.arange(size) * _PARTS // size for size in contrast.used.shape)
     part = (_PARTS * rows[:, None] + columns)[contrast.used]
-    rise = np.bincount(part, contrast.rise, _PARTS**2)
-    filled = rise > 0
-    values = [np.bincount(part, contrast.rise_of(frame), _PARTS**2)[filled] / rise[filled] for frame in frames]
-    return float(np.sqrt(np.mean((np.array(values) - expected[:, None]) ** 2)))
+    rises = np.bincount(part, contrast.rise, _PARTS**2)
+    filled = rises > 0
+    values = [np.bincount(part, contrast.rise_of(frame), _PARTS**2)[filled] / rises[filled] for frame in frames]
+    return ResponseCurve(tuple(curve.tolist()), float(np.sqrt(np.mean((np.array(values) - expected[:, None]) ** 2))))
 
 
 NEGLIGIBLE = 5e-4  # [fringe] RMS of three shifts; a smaller error is left uncorrected

@@ -19,19 +19,6 @@ SMALLEST_NOISE = 0.002  # [px], for the comparison with the mean displacement
 
 def image_warnings(advice: Advice) -> list[SettingsWarning]:
     """Return what good practice finds wrong with the images."""
-    return [*_features(advice), *_exposure(advice), *_noise(advice)]
-
-
-def _features(advice: Advice) -> list[SettingsWarning]:
-    size = math.sqrt(advice.feature_size[0] * advice.feature_size[1])
-    if size < SMALLEST_FEATURE:
-        return [SettingsWarning(SettingsProblem.SMALL_FEATURES, size, SMALLEST_FEATURE)]
-    if size > LARGEST_FEATURE:
-        return [SettingsWarning(SettingsProblem.LARGE_FEATURES, size, LARGEST_FEATURE)]
-    return []
-
-
-def _exposure(advice: Advice) -> list[SettingsWarning]:
     found = []
     if advice.saturated > MOST_SATURATED:
         found.append(SettingsWarning(SettingsProblem.SATURATED, advice.saturated, MOST_SATURATED))
@@ -40,18 +27,21 @@ def _exposure(advice: Advice) -> list[SettingsWarning]:
     if math.isfinite(advice.full_scale) and advice.grey_range[1] < LEAST_RANGE * advice.full_scale:
         share = advice.grey_range[1] / advice.full_scale
         found.append(SettingsWarning(SettingsProblem.UNDEREXPOSED, share, LEAST_RANGE))
-    return found
-
-
-def _noise(advice: Advice) -> list[SettingsWarning]:
-    found = []
+    size = math.sqrt(advice.feature_size[0] * advice.feature_size[1])
+    if size < SMALLEST_FEATURE:
+        features = [SettingsWarning(SettingsProblem.SMALL_FEATURES, size, SMALLEST_FEATURE)]
+    elif size > LARGEST_FEATURE:
+        features = [SettingsWarning(SettingsProblem.LARGE_FEATURES, size, LARGEST_FEATURE)]
+    else:
+        features = []
+    noisy = []
     measured, predicted = max(advice.noise), max(advice.noise_predicted)
     smallest = LEAST_NOISE * advice.quantisation
     if advice.image_noise < smallest:
-        found.append(SettingsWarning(SettingsProblem.QUANTISED, advice.image_noise, smallest))
+        noisy.append(SettingsWarning(SettingsProblem.QUANTISED, advice.image_noise, smallest))
     elif measured > EXCESS_NOISE * predicted:
-        found.append(SettingsWarning(SettingsProblem.EXCESS_NOISE, measured, predicted))
+        noisy.append(SettingsWarning(SettingsProblem.EXCESS_NOISE, measured, predicted))
     moved, allowed = math.hypot(*advice.bias), MOST_MOTION * max(measured, SMALLEST_NOISE)
     if moved > allowed:
-        found.append(SettingsWarning(SettingsProblem.MOVED, moved, allowed))
-    return found
+        noisy.append(SettingsWarning(SettingsProblem.MOVED, moved, allowed))
+    return [*features, *found, *noisy]

@@ -88,14 +88,23 @@ def describe_images(images: StaticImages, full_scale: float | None) -> ImageFigu
     measured = images.measured
     grey = images.stored[0][measured]
     largest = full_scale_of(images.stored) if full_scale is None else float(full_scale)
-    quantisation = _quantisation(grey)
+    # Integers may be stored in steps: 16 for 12 bits in the upper part of 16.
+    if not np.issubdtype(grey.dtype, np.integer):
+        quantisation = math.nan
+    else:
+        levels = np.unique(grey)
+        quantisation = float(np.gcd.reduce(np.diff(levels))) if levels.size > 1 else math.nan
     low, high = (float(value) for value in np.percentile(grey, (1, 99)))
     filled = [np.where(measured, image, 0).astype(np.float64) for image in images.stored]
     feature_size, contrast = texture(filled[1], filled[2], measured)
+    if math.isnan(largest):
+        saturated = math.nan
+    else:
+        saturated = float(np.mean(grey > largest - (quantisation if quantisation > 0 else 0.5)))
     return ImageFigures(
         full_scale=largest,
         quantisation=quantisation,
-        saturated=_saturated_share(grey, largest, quantisation),
+        saturated=saturated,
         dark=float(np.mean(grey <= 0)),
         grey_range=(low, high),
         coverage=float(np.mean(grey < 0.5 * (low + high))),
@@ -104,17 +113,3 @@ def describe_images(images: StaticImages, full_scale: float | None) -> ImageFigu
         feature_size=feature_size,
         mean_gradient=mean_gradient(np.mean(filled, axis=0), measured),
     )
-
-
-def _quantisation(grey: np.ndarray) -> float:
-    """Return the step between grey levels of integers (16 for 12 bits stored in the upper part of 16), else NaN."""
-    if not np.issubdtype(grey.dtype, np.integer):
-        return math.nan
-    levels = np.unique(grey)
-    return float(np.gcd.reduce(np.diff(levels))) if levels.size > 1 else math.nan
-
-
-def _saturated_share(grey: np.ndarray, full_scale: float, quantisation: float) -> float:
-    if math.isnan(full_scale):
-        return math.nan
-    return float(np.mean(grey > full_scale - (quantisation if quantisation > 0 else 0.5)))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -86,24 +84,30 @@ class ProjectorTiming:
 
     def save(self, path: Path, exposure_time: float) -> None:
         """Write the measurement and the settings for a rig's exposure time [s] as YAML, in ms and Hz."""
-        path.write_text(yaml.safe_dump(self._entries(exposure_time), sort_keys=False), "utf-8")
-
-    def _entries(self, exposure_time: float) -> Mapping[str, Any]:
         whole = self.whole_exposure(exposure_time)
         refresh = self.refresh
-        return {
-            "delay_ms": _rounded(1e3 * self.delay),
-            "delay_sigma_ms": _rounded(1e3 * self.delay_sigma),
-            "jitter_ms": _rounded(1e3 * self.jitter),
-            "rise_ms": _rounded(1e3 * self.rise),
-            "fall_ms": _rounded(1e3 * self.fall),
-            "refresh_hz": None if refresh is None else _rounded(refresh.frequency, 6),
-            "refresh_sigma_hz": None if refresh is None else _rounded(refresh.frequency_sigma),
-            "beat_percent": _rounded(100 * self.beat(exposure_time)),
-            "noise_percent": _rounded(100 * self.noise),
-            "samples": self.samples,
-            "advised": {"exposure_ms": _rounded(1e3 * whole, 6), "settle_ms": _rounded(1e3 * self.settle_time())},
-        }
+        path.write_text(
+            yaml.safe_dump(
+                {
+                    "delay_ms": _round(1e3 * self.delay),
+                    "delay_sigma_ms": _round(1e3 * self.delay_sigma),
+                    "jitter_ms": _round(1e3 * self.jitter),
+                    "rise_ms": _round(1e3 * self.rise),
+                    "fall_ms": _round(1e3 * self.fall),
+                    "refresh_hz": None if refresh is None else _round(refresh.frequency, 6),
+                    "refresh_sigma_hz": None if refresh is None else _round(refresh.frequency_sigma),
+                    "beat_percent": _round(100 * self.beat(exposure_time)),
+                    "noise_percent": _round(100 * self.noise),
+                    "samples": self.samples,
+                    "advised": {
+                        "exposure_ms": _round(1e3 * whole, 6),
+                        "settle_ms": _round(1e3 * self.settle_time()),
+                    },
+                },
+                sort_keys=False,
+            ),
+            "utf-8",
+        )
 
     def curve(self, since: Array, bright: bool) -> Array:
         """Return the mean brightness of exposures after a change, without jitter and pulses.
@@ -215,6 +219,6 @@ def _refuse_low_contrast(dark: float, bright: float) -> None:
         )
 
 
-def _rounded(value: float, digits: int = 4) -> float | None:
+def _round(value: float, digits: int = 4) -> float | None:
     """Return a value rounded to significant digits, None for NaN."""
     return None if math.isnan(value) else float(f"{value:.{digits}g}")

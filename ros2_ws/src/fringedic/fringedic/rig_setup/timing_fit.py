@@ -17,12 +17,12 @@ from fringedic.rig_setup.refresh import Refresh
 from fringedic.rig_setup.timing_samples import LEFT_OVER, Array, TimingSamples
 
 # Checked by test_timing.py against exactly known light
-_SLICES = 16  # of an exposure
-# By which time constants must raise the log-likelihood; otherwise they are taken as 0. Chance gives less than 8, errors
+_SLICES = 16  # an exposure is integrated over so many
+# Time constants that raise the log-likelihood by less are taken as 0. Chance gives less than 8, errors
 # of the waveform of pulsing light gave more, and a delay that was 0.6 ms too early (25 times its sigma).
 _WORTH = 40.0
 _OUTLIERS = 0.02  # share of the samples that may have any value, such as those of a delayed frame
-_RESOLUTION = 0.02  # of delays, over the exposure time
+_RESOLUTION = 0.02  # delays are resolved to this part of the exposure time
 _MOST_CELLS = 300
 _UNLIKELY = 1e-6  # likelihood of a delay over that of the best one
 _DIM = 0.2  # exposures between two pulses are too dark to locate the change
@@ -200,22 +200,28 @@ def fit_changes(model: BrightnessModel, part: Array, noise: float) -> ChangesFit
 
     def with_decays(rise: float, fall: float) -> tuple[float, Array]:
         cells = np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)])
-        return _best_delay(likelihood, cells, model.exposure_time)
+        shortest = _RESOLUTION * model.exposure_time / 4
+        tried = np.meshgrid(
+            np.linspace(likelihood.edges[0], likelihood.edges[-1], 60), model.exposure_time * 3.0 ** np.arange(-3, 3)
+        )
+        delays, jitters = (each.ravel() for each in tried)
+
+        def cost(values: Array) -> float:
+            return float(np.squeeze(likelihood.cost(cells, values[0], shortest + math.exp(min(values[1], 5.0)))))
+
+        best = int(likelihood.cost(cells, delays, jitters).argmin())
+        begin = np.array([delays[best], math.log(jitters[best])])
+        simplex = np.vstack([begin, begin + np.diag([jitters[best], -1.0])])
+        options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-4, "maxiter": 150}
+        found = minimize(cost, begin, method="Nelder-Mead", options=options)
+        return float(found.fun), found.x
 
     rise, fall, of_decay = _decays(with_decays, model.exposure_time)
     _, found = with_decays(rise, fall)
     jitter = shortest + math.exp(float(found[1]))
     cells = np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)])
-    delay, sigma = _mean_and_sigma(likelihood, cells, jitter)
-    return ChangesFit(delay, math.hypot(sigma, of_decay), jitter if jitter > 8 * shortest else 0.0, rise, fall)
-
-
-def _mean_and_sigma(likelihood: _Likelihood, cells: Array, jitter: float) -> tuple[float, float]:
-    """Return mean and standard deviation of the delay, distributed as its likelihood.
-
-    Only exposures that contain the change and light locate it, and between pulses it is dark: the likelihood has flat
-    parts with steep ends, whose width the curvature at the maximum does not give.
-    """
+    # The delay is distributed as its likelihood. Only exposures that contain the change and light locate it: the
+    # likelihood has flat parts with steep ends, whose width the curvature at the maximum does not give.
     first, last = float(likelihood.edges[0]), float(likelihood.edges[-1])
     for _ in range(3):  # towards the delays that are likely
         tried = np.linspace(first, last, _MOST_CELLS)
@@ -225,26 +231,8 @@ def _mean_and_sigma(likelihood: _Likelihood, cells: Array, jitter: float) -> tup
         first, last = float(tried[max(likely[0] - 1, 0)]), float(tried[min(likely[-1] + 1, len(tried) - 1)])
     weight /= weight.sum()
     mean = float(weight @ tried)
-    return mean, math.sqrt(float(weight @ (tried - mean) ** 2) + (tried[1] - tried[0]) ** 2 / 12)
-
-
-def _best_delay(likelihood: _Likelihood, cells: Array, exposure_time: float) -> tuple[float, Array]:
-    """Return the least cost with these cells, its delay and the logarithm of its jitter above the shortest."""
-    shortest = _RESOLUTION * exposure_time / 4
-    tried = np.meshgrid(
-        np.linspace(likelihood.edges[0], likelihood.edges[-1], 60), exposure_time * 3.0 ** np.arange(-3, 3)
-    )
-    delays, jitters = (each.ravel() for each in tried)
-
-    def cost(values: Array) -> float:
-        return float(np.squeeze(likelihood.cost(cells, values[0], shortest + math.exp(min(values[1], 5.0)))))
-
-    best = int(likelihood.cost(cells, delays, jitters).argmin())
-    begin = np.array([delays[best], math.log(jitters[best])])
-    simplex = np.vstack([begin, begin + np.diag([jitters[best], -1.0])])
-    options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-4, "maxiter": 150}
-    found = minimize(cost, begin, method="Nelder-Mead", options=options)
-    return float(found.fun), found.x
+    sigma = math.sqrt(float(weight @ (tried - mean) ** 2) + (tried[1] - tried[0]) ** 2 / 12)
+    return ChangesFit(mean, math.hypot(sigma, of_decay), jitter if jitter > 8 * shortest else 0.0, rise, fall)
 
 
 def _decays(

@@ -16,7 +16,7 @@ from fringedic.surface.coupling_kernels import InPlane, couple_points, cubic
 from fringedic.surface.prepared import WIDEST_FILTER, PreparedShape, require_one_calibration, sample_gaussian
 from fringedic.wording.arguments import check_arguments, dataset, either, number, of_type, optional
 
-_GAIN_STEPS = 64  # of a pixel, at which the noise of interpolated values is tabulated
+_GAIN_STEPS = 64  # the noise of interpolated values is tabulated at so many parts of a pixel
 
 FIELDS = {
     "x": ("m", "reference position, to the right"),
@@ -148,7 +148,12 @@ def couple(
         result,
     )
     if calibration is not None and calibration.parameter_names:
-        _add_calibration(calibration, orientation, rows, columns, in_plane, result)
+        column, row = np.meshgrid(columns, rows)
+        moved = (column + in_plane.x, row + in_plane.y, result[2] + result[5])
+        added = calibration_covariance(calibration, (column, row, result[2]), moved, orientation)
+        for sigma, variance in zip(result[6:9], added[:3], strict=True):
+            np.sqrt(sigma**2 + variance, out=sigma)
+        result[9:12] += added[3:]
     fields = {
         name: (("row", "column"), values, {"units": units, "long_name": long_name})
         for (name, (units, long_name)), values in zip(FIELDS.items(), result, strict=True)
@@ -188,24 +193,6 @@ def _require_same_preparation(before: PreparedShape, after: PreparedShape, z_fil
         (before.calibration_identifier, after.calibration_identifier),
         (before.camera_distance, after.camera_distance),
     )
-
-
-def _add_calibration(
-    calibration: RigModel,
-    orientation: Orientation,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    in_plane: InPlane,
-    result: np.ndarray,
-) -> None:
-    """Add the errors that the calibration causes to sigmas and covariances."""
-    column, row = np.meshgrid(columns, rows)
-    before = (column, row, result[2])
-    after = (column + in_plane.x, row + in_plane.y, result[2] + result[5])
-    added = calibration_covariance(calibration, before, after, orientation)
-    for sigma, variance in zip(result[6:9], added[:3], strict=True):
-        np.sqrt(sigma**2 + variance, out=sigma)
-    result[9:12] += added[3:]
 
 
 @lru_cache(maxsize=8)

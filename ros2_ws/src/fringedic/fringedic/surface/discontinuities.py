@@ -20,13 +20,15 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
+from fringedic.surface.planes import spacing_of
+
 # Standard deviations of the jump above which it is a discontinuity; test_waves_are_no_discontinuities,
 # test_strain_beside_a_crack.
 JUMP = 6.0
-_REACH = 3 / 8  # of the window of the displacement, see above
-_SAME = (0.6, 1.5)  # jump from twice as far over the jump: 1 for a discontinuity, 8 for a smooth field
-_KINK = 1.5  # jump over that of a kink, which is 1 for a strain that changes from one point to the next
-_MOST = 0.75  # share of the jump in the difference between both sides, where there is no room to look from farther
+_REACH = 3 / 8  # a jump is seen from this part of the window of the displacement, see above
+_SAME = (0.6, 1.5)  # seen from twice as far, a discontinuity jumps as much and a smooth field 8 times as much
+_KINK = 1.5  # a strain that changes from one point to the next jumps by no more than its kink
+_MOST = 0.75  # without room to look from farther, the jump is most of the difference between both sides
 _FIELDS = (("z", "noise_z"), ("u", "sigma_u"), ("v", "sigma_v"), ("w", "sigma_w"))
 
 
@@ -44,7 +46,7 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
         Bool (row, column), True within the reach of a jump.
     """
     reach = _REACH * float(cloud.attrs["displacement_window_px"])
-    near = [max(1, math.ceil(reach / _spacing(cloud[name].values))) for name in ("row", "column")]
+    near = [max(1, math.ceil(reach / spacing_of(cloud[name].values))) for name in ("row", "column")]
     # the displacement changes little between the points of a third of this distance
     every = [max(1, each // 3) for each in near]
     fields = {
@@ -68,10 +70,6 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
         for count, kept, step in zip(cloud["x"].shape, size, every, strict=True)
     )
     return np.asarray((along | across).astype(bool)[np.ix_(*nearest)])
-
-
-def _spacing(positions: np.ndarray) -> float:
-    return float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
 
 
 def _measure_roughness(values: np.ndarray, h: int) -> float:

@@ -68,19 +68,6 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
     >>> bool(abs(strain.e_yy.median()) < 1e-3)
     True
     """
-    strain = surface_strain(_flat_surface(displacement), window=window, measures=["von_mises"])
-    found = strain[[name for name in _NAMES if name in strain]].rename({old: new for old, (new, _) in _NAMES.items()})
-    for new, meaning in _NAMES.values():
-        found[new].attrs["long_name"] = meaning
-    gauge = float(strain.attrs["virtual_strain_gauge_px"])
-    found.attrs = {"window_px": window, "virtual_strain_gauge_px": gauge}
-    if pixel_size is not None:
-        found.attrs["virtual_strain_gauge_mm"] = 1e3 * pixel_size * gauge
-    return found
-
-
-def _flat_surface(displacement: xr.Dataset) -> xr.Dataset:
-    """Return the points of the image as a surface at z = 0 [px], x to the right and y upwards."""
     column, row = np.meshgrid(displacement["column"].values, displacement["row"].values)
     zero = np.zeros(column.shape, np.float32)
     x, y, sigma_x, sigma_y = (
@@ -92,13 +79,25 @@ def _flat_surface(displacement: xr.Dataset) -> xr.Dataset:
     fields |= {"displacement_sigma_x": sigma_x, "displacement_sigma_y": sigma_y}
     fields |= {"noise_z": zero, "noise_z_deformed": zero}
     attributes = displacement.attrs
-    return xr.Dataset(
-        {name: (("row", "column"), values) for name, values in fields.items()},
-        {name: displacement[name] for name in ("row", "column")},
-        {
-            "displacement_window_px": attributes.get("window_px", 1),
-            "displacement_method": attributes.get("method", "dense"),
-            "z_filter_px": 0.0,
-            "camera_distance": _FAR,
-        },
+    strain = surface_strain(
+        xr.Dataset(
+            {name: (("row", "column"), values) for name, values in fields.items()},
+            {name: displacement[name] for name in ("row", "column")},
+            {
+                "displacement_window_px": attributes.get("window_px", 1),
+                "displacement_method": attributes.get("method", "dense"),
+                "z_filter_px": 0.0,
+                "camera_distance": _FAR,
+            },
+        ),
+        window=window,
+        measures=["von_mises"],
     )
+    found = strain[[name for name in _NAMES if name in strain]].rename({old: new for old, (new, _) in _NAMES.items()})
+    for new, meaning in _NAMES.values():
+        found[new].attrs["long_name"] = meaning
+    gauge = float(strain.attrs["virtual_strain_gauge_px"])
+    found.attrs = {"window_px": window, "virtual_strain_gauge_px": gauge}
+    if pixel_size is not None:
+        found.attrs["virtual_strain_gauge_mm"] = 1e3 * pixel_size * gauge
+    return found

@@ -10,7 +10,7 @@ from numba import njit, prange
 
 from fringedic.errors import SurfaceError
 from fringedic.surface.noise_correlation import height_correlation, height_gains
-from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
+from fringedic.surface.planes import WIDEST_WINDOW, fit_planes
 from fringedic.wording.arguments import check_arguments, dataset, whole
 
 _LOCAL = {
@@ -95,7 +95,13 @@ def to_local_frame(displacement_3d: xr.Dataset, *, window: int = 21) -> xr.Datas
         _propagate(z_x, z_y, moved, covariance, planes.white, planes.means[0], gains, sigmas)
         fields |= zip(_SIGMAS, sigmas, strict=True)
         units |= _SIGMAS
-        attributes["slope_noise_gain"] = _slope_noise_gain(planes, z_filter, spacing, gains)
+        rows, columns = planes.half
+        offsets = np.arange(-columns, columns + 1) * spacing[1]
+        plane = gains[0] / ((2 * rows + 1) * float(offsets @ offsets))
+        along = height_correlation(z_filter, False)
+        lag = 2 * spacing[1]
+        difference = 2 * (1 - (along[lag] if lag < len(along) else 0.0)) / lag**2
+        attributes["slope_noise_gain"] = math.sqrt(plane / difference)
     return xr.Dataset(
         {
             name: (("row", "column"), values, {"units": units[name][0], "long_name": units[name][1]})
@@ -104,17 +110,6 @@ def to_local_frame(displacement_3d: xr.Dataset, *, window: int = 21) -> xr.Datas
         coords={name: displacement_3d.coords[name] for name in ("row", "column")},
         attrs=attributes,
     )
-
-
-def _slope_noise_gain(planes: Planes, z_filter: float, spacing: tuple[int, int], gains: np.ndarray) -> float:
-    """Return the noise of a plane's slope along x over that of a central difference."""
-    rows, columns = planes.half
-    offsets = np.arange(-columns, columns + 1) * spacing[1]
-    plane = gains[0] / ((2 * rows + 1) * float(offsets @ offsets))
-    along = height_correlation(z_filter, False)
-    lag = 2 * spacing[1]
-    difference = 2 * (1 - (along[lag] if lag < len(along) else 0.0)) / lag**2
-    return math.sqrt(plane / difference)
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -7,7 +7,7 @@ import numpy as np
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 
-_PIXELS = 100  # along each axis that are evaluated: enough for a median
+_PIXELS = 100  # along each axis are enough for a median
 
 
 def nearest_order_to_plane(

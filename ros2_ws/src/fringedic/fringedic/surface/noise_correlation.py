@@ -17,7 +17,7 @@ from fringedic.correlation.transfer import error_correlation
 from fringedic.surface.coupling_kernels import cubic
 from fringedic.surface.prepared import sample_gaussian
 
-_FRACTIONS = 16  # of a pixel, over which the interpolation is averaged
+_FRACTIONS = 16  # the interpolation is averaged over so many parts of a pixel
 
 
 def height_correlation(z_filter: float, interpolated: bool) -> np.ndarray:

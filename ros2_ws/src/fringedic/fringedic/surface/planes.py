@@ -100,18 +100,16 @@ def fit_planes(
     )
     _fit(samples, half, planes)
     if discontinuous is not None and discontinuous.any():
-        fit_masked(samples, _find_divided(discontinuous, half) & known, half, planes)
+        # Lines shorter than half a window cannot divide it.
+        patches, _ = label(discontinuous, np.ones((3, 3)))
+        long = np.zeros(discontinuous.shape, np.bool_)
+        for number, place in enumerate(find_objects(patches), start=1):
+            if any(part.stop - part.start > each for part, each in zip(place, half, strict=True)):
+                long[place] |= patches[place] == number
+        fit_masked(
+            samples, maximum_filter(long, size=[2 * each + 1 for each in half], mode="constant") & known, half, planes
+        )
     return Planes(fields, *planes, half, spacing)
-
-
-def _find_divided(discontinuous: np.ndarray, half: tuple[int, int]) -> np.ndarray:
-    """Find the points whose window may be divided, bool (row, column): shorter lines than half a window cannot."""
-    patches, _ = label(discontinuous, np.ones((3, 3)))
-    long = np.zeros(discontinuous.shape, np.bool_)
-    for number, place in enumerate(find_objects(patches), start=1):
-        if any(part.stop - part.start > each for part, each in zip(place, half, strict=True)):
-            long[place] |= patches[place] == number
-    return maximum_filter(long, size=[2 * each + 1 for each in half], mode="constant")
 
 
 def _average_sample(values: np.ndarray) -> float:
@@ -119,8 +117,13 @@ def _average_sample(values: np.ndarray) -> float:
     return float(known.mean(dtype=float)) if known.size else 0.0
 
 
+def spacing_of(positions: np.ndarray) -> float:
+    """Return the distance of neighbouring positions [px], 1 for a single one."""
+    return float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
+
+
 def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
-    spacing = float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
+    spacing = spacing_of(positions)
     half = round((window - 1) / 2 / spacing)
     if half < 1:
         raise SurfaceError(

@@ -96,23 +96,28 @@ class PreparedShape:
         variance = np.empty_like(z)
         _compute_rays(x, y, z, sigma, self.camera_distance, self.rays, variance)
         # neither errors outside the sigmas (speckle seen through blur) nor the relief of one pixel is a discontinuity
-        roughness = max(_measure_roughness(z), _measure_roughness(z.T), self._pixel_size() / JUMP)
+        steps = np.diff(self.rays[0, :: max(1, len(self.rows) // 50)], axis=-1)
+        steps = steps[np.isfinite(steps)]
+        pixel_size = self.camera_distance * abs(float(np.median(steps))) if len(steps) else 0.0
+        roughness = max(_measure_roughness(z), _measure_roughness(z.T), pixel_size / JUMP)
         self.right, self.down = np.zeros(z.shape, np.bool_), np.zeros(z.shape, np.bool_)
         _find_continuations(z, variance, np.float32(roughness), self.right, self.down)
         if len(kernel) > 1:
-            z, variance = _smooth(z, variance, self.right, self.down, kernel.astype(np.float32))
+            kernel = kernel.astype(np.float32)
+            sample = variance[::8, ::8][np.isfinite(z[::8, ::8])]
+            typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
+            # close to 1, or the squares of the weights leave the range of float32
+            weight = typical / variance if typical > 0 else np.ones_like(z)
+            along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
+            _filter(_Weighted(z, weight, weight), self.right, kernel, True, along_rows)
+            _filter(along_rows, self.down, kernel, False, smooth)
+            z, variance = smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
         self.z, self.variance = z, variance
 
     @property
     def arrays(self) -> SurfaceArrays:
         """Arrays for the kernels."""
         return SurfaceArrays(self.z, self.variance, self.right, self.down, self.rays)
-
-    def _pixel_size(self) -> float:
-        """Return the width of a column on the reference plane [m], 0 when no two neighbours are measured."""
-        steps = np.diff(self.rays[0, :: max(1, len(self.rows) // 50)], axis=-1)
-        steps = steps[np.isfinite(steps)]
-        return self.camera_distance * abs(float(np.median(steps))) if len(steps) else 0.0
 
 
 def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
@@ -242,20 +247,6 @@ class _Weighted(NamedTuple):
     z: np.ndarray
     weight: np.ndarray
     spread: np.ndarray
-
-
-def _smooth(
-    z: np.ndarray, variance: np.ndarray, right: np.ndarray, down: np.ndarray, kernel: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return z and its variance, smoothed along rows and then along columns."""
-    sample = variance[::8, ::8][np.isfinite(z[::8, ::8])]
-    typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
-    # close to 1, or the squares of the weights leave the range of float32
-    weight = typical / variance if typical > 0 else np.ones_like(z)
-    along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
-    _filter(_Weighted(z, weight, weight), right, kernel, True, along_rows)
-    _filter(along_rows, down, kernel, False, smooth)
-    return smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
 
 
 @njit(cache=True, nogil=True)

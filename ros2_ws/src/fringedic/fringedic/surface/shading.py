@@ -69,7 +69,15 @@ class LitTexture:
         self._window, self._spacing = int(field.attrs["window_px"]), int(field.attrs["spacing_px"])
         self._slopes = np.empty((2, *shape.z.shape), np.float32)
         _compute_slopes(shape.z, shape.rays, shape.camera_distance, self._slopes)
-        self._roughness = _measure_roughness(self._slopes)
+        slopes = self._slopes
+        changes = []
+        between = 4 * _LAG  # [px] of the lines: a sample is enough
+        for lines in (slopes[:, ::between], slopes[:, :, ::between].swapaxes(1, 2)):
+            products = np.stack(list(_multiply_slopes(lines)))
+            second = products[..., 2 * _LAG :] - 2 * products[..., _LAG:-_LAG] + products[..., : -2 * _LAG]
+            changes.append(second[:, np.isfinite(second).all(axis=0)].astype(float))
+        change = np.concatenate(changes, axis=1)
+        self._roughness = np.asarray(change @ change.T / (6 * max(change.shape[1], 1)))
 
     def without_shading(self, field: xr.Dataset, deformed: PreparedShape) -> xr.Dataset:
         """Return a displacement from this step without the part that the change of the shading imitates.
@@ -92,7 +100,11 @@ class LitTexture:
         every = max(1, _MOTION_SPACING // self._spacing)
         some = field.isel(row=slice(None, None, every), column=slice(None, None, every))
         change = self._change(couple(self._shape, deformed, some, z_filter=self._shape.z_filter))
-        if change is None or _rms_local(change, self._roughness) < _NEGLIGIBLE:
+        if (
+            change is None
+            or float(np.sqrt(np.einsum("irc,ij,jrc", change, self._roughness, change, optimize=True) / change[0].size))
+            < _NEGLIGIBLE
+        ):
             return field
         moved = np.stack([field[name].values for name in _VECTOR])
         _add_responses(change, every, self._responses, moved)
@@ -117,7 +129,19 @@ class LitTexture:
             found = self._measure(self._prepare(one, self._spacing * max(1, _TRIAL_SPACING // self._spacing)), other)
         except CorrelationError:  # fewer points are left than the estimator needs
             return 1.0
-        return _compare_slopes(found, self._window, self._method, window)
+        row, column = (each.astype(np.float32) for each in np.meshgrid(found.row, found.column, indexing="ij"))
+        over = found.assign(x=(("row", "column"), column), y=(("row", "column"), row))
+        planes = fit_planes(over, _VECTOR, window, ("sigma_x", "sigma_y"))
+        spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
+        gains = displacement_gains(self._window, self._method, planes.half, spacing)
+        expected = planes.means[:, None] * gains[:, None, None] * planes.white[:2]
+        ratio = planes.slopes**2 / expected
+        known = np.isfinite(ratio)
+        if not known.any():
+            return 1.0
+        length = max(planes.width_px) + self._window
+        number = known.sum() * spacing[0] * spacing[1] / length**2
+        return float((number * ratio[known].mean(dtype=float) + _FEW) / (number + _FEW))
 
     @cached_property
     def _responses(self) -> np.ndarray:
@@ -190,40 +214,6 @@ def _multiply_slopes(slopes: np.ndarray) -> Iterator[np.ndarray]:
     yield p * p
     yield p * q
     yield q * q
-
-
-def _measure_roughness(slopes: np.ndarray) -> np.ndarray:
-    """Return the covariance (k, k) of the local changes of the products of slopes: differences between near pixels."""
-    changes = []
-    between = 4 * _LAG  # [px] of the lines: a sample is enough
-    for lines in (slopes[:, ::between], slopes[:, :, ::between].swapaxes(1, 2)):
-        products = np.stack(list(_multiply_slopes(lines)))
-        second = products[..., 2 * _LAG :] - 2 * products[..., _LAG:-_LAG] + products[..., : -2 * _LAG]
-        changes.append(second[:, np.isfinite(second).all(axis=0)].astype(float))
-    change = np.concatenate(changes, axis=1)
-    return np.asarray(change @ change.T / (6 * max(change.shape[1], 1)))
-
-
-def _rms_local(change: np.ndarray, roughness: np.ndarray) -> float:
-    """Return the root mean square local change of the light from its factors (k, row, column)."""
-    return float(np.sqrt(np.einsum("irc,ij,jrc", change, roughness, change, optimize=True) / change[0].size))
-
-
-def _compare_slopes(noise: xr.Dataset, window: int, method: str, strain_window: int) -> float:
-    """Return the mean square of the slopes of a noise [px] over the predicted one; few values count as predicted."""
-    row, column = (each.astype(np.float32) for each in np.meshgrid(noise.row, noise.column, indexing="ij"))
-    over = noise.assign(x=(("row", "column"), column), y=(("row", "column"), row))
-    planes = fit_planes(over, _VECTOR, strain_window, ("sigma_x", "sigma_y"))
-    spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
-    gains = displacement_gains(window, method, planes.half, spacing)
-    expected = planes.means[:, None] * gains[:, None, None] * planes.white[:2]
-    ratio = planes.slopes**2 / expected
-    known = np.isfinite(ratio)
-    if not known.any():
-        return 1.0
-    length = max(planes.width_px) + window
-    number = known.sum() * spacing[0] * spacing[1] / length**2
-    return float((number * ratio[known].mean(dtype=float) + _FEW) / (number + _FEW))
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")

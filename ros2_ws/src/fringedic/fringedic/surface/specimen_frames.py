@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 
 from fringedic.errors import SurfaceError
 
-_POINTS = 20000  # of a cloud, enough for a fit
-_COLLINEAR = 1e-6  # sine below which three points count as collinear
+_POINTS = 20000  # of a cloud are enough for a fit
+_COLLINEAR = 1e-6  # three points with a smaller sine are collinear
 _LEAST_CURVATURE = 1e-4  # half the size of the cloud over the radius: a sagitta of 1e-4 of its width; rounding is 1e-7
 _COVARIANCES = ("sigma_u", "sigma_v", "sigma_w", "cov_uv", "cov_uw", "cov_vw")
 
@@ -105,8 +105,12 @@ class SpecimenFrame:
             moved = np.stack([np.asarray(cloud[name], float) for name in "uvw"])
             fields |= zip("uvw", np.tensordot(self.axes, moved, 1), strict=True)
         if all(name in cloud for name in _COVARIANCES):
-            turned = np.einsum("ab,bcij,dc->adij", self.axes, _covariance(cloud), self.axes)
-            fields |= zip(_COVARIANCES, _named(turned), strict=True)
+            c = np.einsum("ab,bcij,dc->adij", self.axes, _covariance(cloud), self.axes)
+            fields |= zip(
+                _COVARIANCES,
+                [np.sqrt(c[0, 0]), np.sqrt(c[1, 1]), np.sqrt(c[2, 2]), c[0, 1], c[0, 2], c[1, 2]],
+                strict=True,
+            )
         return xr.Dataset(
             {name: (("row", "column"), values.astype(kind), cloud[name].attrs) for name, values in fields.items()},
             coords={name: cloud.coords[name] for name in ("row", "column")},
@@ -271,9 +275,3 @@ def _covariance(cloud: xr.Dataset) -> np.ndarray:
     """Covariance matrices of (u, v, w), shape (3, 3, row, column) [m^2]."""
     uu, vv, ww, uv, uw, vw = (np.asarray(cloud[name], float) for name in _COVARIANCES)
     return np.array([[uu**2, uv, uw], [uv, vv**2, vw], [uw, vw, ww**2]])
-
-
-def _named(covariance: np.ndarray) -> list[np.ndarray]:
-    """Sigmas and covariances in the order of their names."""
-    c = covariance
-    return [np.sqrt(c[0, 0]), np.sqrt(c[1, 1]), np.sqrt(c[2, 2]), c[0, 1], c[0, 2], c[1, 2]]

@@ -124,23 +124,25 @@ def surface_strain(
     for measure in (MEASURES[name] for name in measures):
         fields |= zip(measure.fields, measure.compute(SurfaceStrain(*strain)), strict=True)
         units |= measure.fields
+    length = max(planes.width_px) + float(displacement_3d.attrs.get("displacement_window_px", 1))
+    steps = (
+        np.diff(np.asarray(displacement_3d["x"])[:: max(1, displacement_3d.sizes["row"] // 50)], axis=-1)
+        / planes.spacing[1]
+    )
+    steps = steps[np.isfinite(steps)]
+    pixel = abs(float(np.median(steps))) if len(steps) else math.nan
     return xr.Dataset(
         {
             name: (("row", "column"), values, {"units": units[name][0], "long_name": units[name][1]})
             for name, values in fields.items()
         },
         coords={name: displacement_3d.coords[name] for name in ("row", "column")},
-        attrs={"window_px": window, **_gauge_length(displacement_3d, planes)},
+        attrs={
+            "window_px": window,
+            "virtual_strain_gauge_px": length,
+            "virtual_strain_gauge_mm": 1e3 * length * pixel,
+        },
     )
-
-
-def _gauge_length(cloud: xr.Dataset, planes: Planes) -> dict[str, float]:
-    """Return the length that a value is measured over in px and, with the median size of a pixel, in mm."""
-    length = max(planes.width_px) + float(cloud.attrs.get("displacement_window_px", 1))
-    steps = np.diff(np.asarray(cloud["x"])[:: max(1, cloud.sizes["row"] // 50)], axis=-1) / planes.spacing[1]
-    steps = steps[np.isfinite(steps)]
-    pixel = abs(float(np.median(steps))) if len(steps) else math.nan
-    return {"virtual_strain_gauge_px": length, "virtual_strain_gauge_mm": 1e3 * length * pixel}
 
 
 def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np.ndarray:
@@ -152,31 +154,28 @@ def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np
     gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
     h0 = float(cloud.attrs["camera_distance"])
     sigmas = np.empty((len(_SIGMAS), *planes.slopes.shape[2:]), planes.slopes.dtype)
-    _propagate(
-        planes.slopes,
-        planes.white,
-        planes.means,
-        planes.fields,  # x, y, z, u, v, w
-        _fit_pixel(cloud, h0),
-        h0,
-        np.stack([*gains, in_plane, in_plane]),
-        sigmas,
-    )
-    return sigmas
-
-
-def _fit_pixel(cloud: xr.Dataset, h0: float) -> np.ndarray:
-    """Return the change of the slope of the line of sight (x, y) by one column and by one row, shape (2, 2)."""
     few = {name: slice(None, None, max(1, cloud.sizes[name] // 50)) for name in ("row", "column")}
     some = cloud[["x", "y", "z"]].isel(few)
     row, column = (each.astype(float) for each in np.meshgrid(some.row, some.column, indexing="ij"))
     depth = np.asarray(some.z, float) - h0
     known = np.isfinite(depth)
     if np.count_nonzero(known) < 3:
-        return np.full((2, 2), np.nan)
-    basis = np.stack([column[known], row[known], np.ones(np.count_nonzero(known))], axis=-1)
-    rays = np.stack([(np.asarray(some[name], float) / depth)[known] for name in ("x", "y")], axis=-1)
-    return np.ascontiguousarray(np.linalg.lstsq(basis, rays, rcond=None)[0][:2].T)
+        by_pixel = np.full((2, 2), np.nan)
+    else:
+        basis = np.stack([column[known], row[known], np.ones(np.count_nonzero(known))], axis=-1)
+        rays = np.stack([(np.asarray(some[name], float) / depth)[known] for name in ("x", "y")], axis=-1)
+        by_pixel = np.ascontiguousarray(np.linalg.lstsq(basis, rays, rcond=None)[0][:2].T)
+    _propagate(
+        planes.slopes,
+        planes.white,
+        planes.means,
+        planes.fields,  # x, y, z, u, v, w
+        by_pixel,
+        h0,
+        np.stack([*gains, in_plane, in_plane]),
+        sigmas,
+    )
+    return sigmas
 
 
 @njit(cache=True, nogil=True)

@@ -347,12 +347,12 @@ class VirtualRigConfiguration(_Section):
             return cls.model_validate(entries)
         except ValidationError as error:
             raise VirtualRigError(
-                "virtual_rig: " + "; ".join(_sentence(problem) for problem in error.errors())
+                "virtual_rig: "
+                + "; ".join(
+                    f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']} (got {problem['input']!r})"
+                    for problem in error.errors()
+                )
             ) from error
-
-
-def _sentence(problem: Mapping[str, Any]) -> str:
-    return f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']} (got {problem['input']!r})"
 
 
 def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

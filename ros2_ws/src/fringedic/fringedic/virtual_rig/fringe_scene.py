@@ -127,7 +127,12 @@ class FringeScene:
         shown = (image[0].astype(float) / 255) ** self.gamma
         shown = 0.5 + self.contrast * (shown - 0.5)
         lit = np.interp(self.projector_column + lift, np.arange(len(shown)), shown).astype(np.float32)
-        return np.asarray(self.dark_level + 2 * self.grey * self._reflectance(motion) * lit)
+        moved = np.array([[1, 0, motion[0] - _MARGIN], [0, 1, motion[1] - _MARGIN]], float)
+        texture = cv2.warpAffine(self._texture, moved, (self.columns, self.rows), flags=cv2.INTER_CUBIC)
+        cover = self._cover(motion)
+        return np.asarray(
+            self.dark_level + 2 * self.grey * np.asarray(cover * texture + (1 - cover) * self.background) * lit
+        )
 
     def record(self, light: np.ndarray, index: int) -> np.ndarray:
         """Return a frame of these grey levels with noise, which differs with the index, in the camera's type."""
@@ -187,12 +192,6 @@ class FringeScene:
         white = np.random.default_rng((self.seed, 2)).standard_normal(size, np.float32)
         spots = cv2.GaussianBlur(white, (0, 0), self.texture_size / 2)
         return np.asarray(np.clip(1 + self.texture * spots / spots.std(), 0.05, 1.9))
-
-    def _reflectance(self, motion: tuple[float, float]) -> np.ndarray:
-        moved = np.array([[1, 0, motion[0] - _MARGIN], [0, 1, motion[1] - _MARGIN]], float)
-        texture = cv2.warpAffine(self._texture, moved, (self.columns, self.rows), flags=cv2.INTER_CUBIC)
-        cover = self._cover(motion)
-        return np.asarray(cover * texture + (1 - cover) * self.background)
 
     def _cover(self, motion: tuple[float, float]) -> np.ndarray:
         """Return how far each pixel shows the specimen, 0 to 1: an ellipse of the wanted area with a soft outline."""

@@ -108,7 +108,34 @@ class SimulatedLoadFrame:
         if not 0.0 <= time_s < math.inf:
             raise ValueError(f"time can only advance by a finite number of seconds, not {time_s}")
         while self._state is CrossheadState.MOVING and time_s > 0.0:
-            time_s -= self._move(time_s)
+            ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
+            distance = self._target - self._position
+            sign = math.copysign(1.0, distance)
+            way, speed = abs(distance), sign * self._speed
+            braking = speed * speed / (2.0 * ramp)
+            if speed < 0.0 or speed > self._cruise * (1.0 + 1e-12) or braking > way * (1.0 + 1e-9):
+                # away from the target, too fast or past the point of braking: slow down first
+                goal = 0.0 if speed < 0.0 or braking > way * (1.0 + 1e-9) else self._cruise
+                duration, change = abs(speed - goal) / ramp, math.copysign(ramp, goal - speed)
+            elif way - braking > 1e-9 * way + 1e-15:
+                # speed up until it is time to brake, or cruise until then
+                peak = min(self._cruise, math.sqrt(ramp * way + 0.5 * speed * speed))
+                if speed < peak * (1.0 - 1e-12):
+                    duration, change = (peak - speed) / ramp, ramp
+                else:
+                    duration, change = (way - braking) / speed, 0.0
+            else:
+                duration, change = speed / ramp, -ramp
+            last = duration <= time_s
+            step = min(duration, time_s)
+            travelled = speed * step + 0.5 * change * step * step
+            self._speed = sign * (speed + change * step)
+            position = self._within_range(self._position + sign * travelled)
+            if last and abs(position - self._target) < 1e-9 and abs(self._speed) < 1e-9:
+                position, self._speed, self._state = self._target, 0.0, CrossheadState.HOLDING
+            self._pass(step, position - self._position)
+            self._position = position
+            time_s -= step
         self._pass(time_s, 0.0)
 
     def sample(self) -> LoadSample:
@@ -116,37 +143,6 @@ class SimulatedLoadFrame:
         c = self._configuration
         force = 1e3 * c.stiffness_n_per_mm * ((1.0 - c.relaxation) * self._travel + self._relaxing)
         return LoadSample(self._state, force + c.force_noise_n * self._rng.standard_normal(), self._position)
-
-    def _move(self, time_s: float) -> float:
-        """Run the part of the speed profile that comes next, at most `time_s` long; return its duration."""
-        ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
-        distance = self._target - self._position
-        sign = math.copysign(1.0, distance)
-        way, speed = abs(distance), sign * self._speed
-        braking = speed * speed / (2.0 * ramp)
-        if speed < 0.0 or speed > self._cruise * (1.0 + 1e-12) or braking > way * (1.0 + 1e-9):
-            # away from the target, too fast or past the point of braking: slow down first
-            goal = 0.0 if speed < 0.0 or braking > way * (1.0 + 1e-9) else self._cruise
-            duration, change = abs(speed - goal) / ramp, math.copysign(ramp, goal - speed)
-        elif way - braking > 1e-9 * way + 1e-15:
-            # speed up until it is time to brake, or cruise until then
-            peak = min(self._cruise, math.sqrt(ramp * way + 0.5 * speed * speed))
-            if speed < peak * (1.0 - 1e-12):
-                duration, change = (peak - speed) / ramp, ramp
-            else:
-                duration, change = (way - braking) / speed, 0.0
-        else:
-            duration, change = speed / ramp, -ramp
-        last = duration <= time_s
-        step = min(duration, time_s)
-        travelled = speed * step + 0.5 * change * step * step
-        self._speed = sign * (speed + change * step)
-        position = self._within_range(self._position + sign * travelled)
-        if last and abs(position - self._target) < 1e-9 and abs(self._speed) < 1e-9:
-            position, self._speed, self._state = self._target, 0.0, CrossheadState.HOLDING
-        self._pass(step, position - self._position)
-        self._position = position
-        return step
 
     def _within_range(self, position: float) -> float:
         """Return a position without the rounding error by which a ramp may end outside of the machine's range."""

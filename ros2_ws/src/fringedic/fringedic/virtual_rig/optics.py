@@ -48,17 +48,6 @@ def _pin_hole(
     return np.concatenate([position, rotation.ravel(), scale, principal, lens])
 
 
-def _camera_lens(camera: CameraConfiguration) -> list[float]:
-    """Return the lens in the form of the ray tracing; lengths of the bump are parts of the image's width."""
-    lens, width = camera.lens, camera.columns / 100
-    shift = [width * value for value in lens.bump_percent]
-    centre = [
-        0.5 * (size - 1) + width * value
-        for size, value in zip((camera.columns, camera.rows), lens.bump_centre_percent, strict=True)
-    ]
-    return [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, *shift, *centre, width * lens.bump_radius_percent]
-
-
 def _centre(value: float | None, size: int) -> float:
     return 0.5 * (size - 1) if value is None else value
 
@@ -71,12 +60,18 @@ def camera_pin_hole(camera: CameraConfiguration) -> Matrix:
     """
     optics = camera_optics(camera)
     scale = optics["camera_distance"] / optics["pixel_size"]
+    lens, width = camera.lens, camera.columns / 100
+    shift = [width * value for value in lens.bump_percent]
+    centre = [
+        0.5 * (size - 1) + width * value
+        for size, value in zip((camera.columns, camera.rows), lens.bump_centre_percent, strict=True)
+    ]
     return _pin_hole(
         np.array([0.0, 0.0, optics["camera_distance"]]),
         rotation_x(optics["camera_tilt_x"]) @ rotation_y(optics["camera_tilt_y"]),
         (scale * optics["pixel_aspect"], scale),
         (optics["principal_column"], optics["principal_row"]),
-        _camera_lens(camera),
+        [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, *shift, *centre, width * lens.bump_radius_percent],
     )
 
 

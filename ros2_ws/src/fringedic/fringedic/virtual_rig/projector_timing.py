@@ -46,7 +46,13 @@ def pattern_weights(
     # seconds from the start of the exposure
     seen = np.maximum.accumulate([1e-9 * (each - start) + _delay(projector, seed, each) for each in shown])
     rise = 1e-3 * projector.rise_ms
-    pulses = _pulses(projector, start, exposure_time)
+    if projector.refresh_hz == 0.0:
+        pulses = np.array([[0.0], [exposure_time]])
+    else:
+        period = 1.0 / projector.refresh_hz
+        passed = math.fmod(start * 1e-9, period)  # of the pulse that has begun last
+        begins = np.arange(-passed, exposure_time, period)
+        pulses = np.asarray(np.clip([begins, begins + projector.refresh_duty * period], 0.0, exposure_time))
     share = np.zeros(len(shown))  # of the light, at the moment at which the next pattern begins
     weights = np.zeros(len(shown))
     for i, begin in enumerate(seen):
@@ -62,16 +68,6 @@ def pattern_weights(
         share[i] = 1.0 - share.sum()
     brightness = 1.0 if projector.refresh_hz == 0.0 else 1.0 / projector.refresh_duty
     return np.asarray(weights * brightness / exposure_time)
-
-
-def _pulses(projector: ProjectorConfiguration, start: int, exposure_time: float) -> NDArray[np.float64]:
-    """Return starts and ends of the light within the exposure, (2, pulse) [s] from its start."""
-    if projector.refresh_hz == 0.0:
-        return np.array([[0.0], [exposure_time]])
-    period = 1.0 / projector.refresh_hz
-    passed = math.fmod(start * 1e-9, period)  # of the pulse that has begun last
-    begins = np.arange(-passed, exposure_time, period)
-    return np.asarray(np.clip([begins, begins + projector.refresh_duty * period], 0.0, exposure_time))
 
 
 def _delay(projector: ProjectorConfiguration, seed: int, shown: int) -> float:

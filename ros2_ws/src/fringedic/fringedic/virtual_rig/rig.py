@@ -275,11 +275,6 @@ class VirtualRig:
             latest_view, latest_image, light = self._latest_light
             if latest_view is view and np.array_equal(latest_image, projector_image):
                 return light
-        light = self._light_of(view, projector_image)
-        self._latest_light = view, projector_image.copy(), light
-        return light
-
-    def _light_of(self, view: View, projector_image: NDArray[np.uint8]) -> NDArray[np.float32]:
         projector = self.configuration.projector
         defocus = projector.defocus_px
         response = (np.linspace(0.0, 1.0, 256) ** projector.gamma).astype(np.float32)
@@ -296,6 +291,7 @@ class VirtualRig:
             columns = view.weights("column", projector.columns, defocus)
             rows = view.weights("row", projector.rows, defocus)
             exposure.light_of(response[projector_image], *columns, *rows, light)
+        self._latest_light = view, projector_image.copy(), light
         return light
 
     def view(self, position: float) -> View:
@@ -312,7 +308,44 @@ class VirtualRig:
             )
         position = float(position)  # an integer would compile all kernels again
         if position not in self._views:
-            self._views[position] = self._solve(position)
+            X, Y, residual = np.empty(self.shape), np.empty(self.shape), np.empty(self.shape)
+            tracing.solve_pixels(self._camera, self._surface.deformed(position), X, Y, residual)
+            left, right, low, high = self._surface.outline
+            beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
+            X[beside] = Y[beside] = np.nan
+            column, row, irradiance, facing = self._light_geometry(position, X, Y)
+            hidden = ~(facing > 0.0)
+            for values in (X, Y, column, row, irradiance, residual):
+                values[hidden] = np.nan
+
+            if self._texture is not None:
+                texture = reflectance_at(self._texture, self.configuration.texture.floor, X, Y)
+            else:
+                value = np.empty(self.shape)
+                stage, specimen = self.configuration.stage, self.configuration.specimen
+                if isinstance(specimen, ReferencePlaneSpecimen) and specimen.surface == "grid":
+                    turned, pitch = math.radians(stage.grid_turned_degree), 1e-3 * stage.grid_pitch_mm
+                    blur = 1e-6 * stage.grid_blur_um if stage.grid_kind == "lines" else 0.0
+                    tracing.printed_grid(stage.albedo, stage.ink, pitch, turned, blur, X, Y, value)
+                    texture = value
+                else:
+                    texture = np.where(np.isnan(X), 0.0, stage.albedo)
+            sensor = self.configuration.sensor
+            full_scale = 2**sensor.bits - 1
+            white = full_scale * sensor.white_level * texture
+            lit = self._lit(position, X, Y, column, row, irradiance)
+            self._views[position] = View(
+                X=X,
+                Y=Y,
+                projector_column=column,
+                projector_row=row,
+                lit=lit,
+                gain=np.where(lit, white * irradiance, 0.0).astype(np.float32),
+                offset=np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light).astype(
+                    np.float32
+                ),
+                residual=float(np.max(residual, initial=0.0, where=~hidden)),
+            )
             if len(self._views) > _KEPT_VIEWS:
                 self._views.popitem(last=False)
         self._views.move_to_end(position)
@@ -332,46 +365,6 @@ class VirtualRig:
         maps = tracing.LightMaps(*(np.empty_like(X) for _ in range(4)))
         tracing.light_geometry(self._camera, self._projector, self._surface.deformed(position), X, Y, maps)
         return maps
-
-    def _solve(self, position: float) -> View:
-        X, Y, residual = np.empty(self.shape), np.empty(self.shape), np.empty(self.shape)
-        tracing.solve_pixels(self._camera, self._surface.deformed(position), X, Y, residual)
-        left, right, low, high = self._surface.outline
-        beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
-        X[beside] = Y[beside] = np.nan
-        column, row, irradiance, facing = self._light_geometry(position, X, Y)
-        hidden = ~(facing > 0.0)
-        for values in (X, Y, column, row, irradiance, residual):
-            values[hidden] = np.nan
-
-        texture = self._reflectance(X, Y)
-        sensor = self.configuration.sensor
-        full_scale = 2**sensor.bits - 1
-        white = full_scale * sensor.white_level * texture
-        lit = self._lit(position, X, Y, column, row, irradiance)
-        return View(
-            X=X,
-            Y=Y,
-            projector_column=column,
-            projector_row=row,
-            lit=lit,
-            gain=np.where(lit, white * irradiance, 0.0).astype(np.float32),
-            offset=np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light).astype(np.float32),
-            residual=float(np.max(residual, initial=0.0, where=~hidden)),
-        )
-
-    def _reflectance(self, X: Map, Y: Map) -> Map:
-        """Return the reflectance relative to that of an unpainted specimen; 0 beside the specimen."""
-        if self._texture is not None:
-            return reflectance_at(self._texture, self.configuration.texture.floor, X, Y)
-        value = np.empty(self.shape)
-        stage, specimen = self.configuration.stage, self.configuration.specimen
-        if isinstance(specimen, ReferencePlaneSpecimen) and specimen.surface == "grid":
-            turned, pitch = math.radians(stage.grid_turned_degree), 1e-3 * stage.grid_pitch_mm
-            blur = 1e-6 * stage.grid_blur_um if stage.grid_kind == "lines" else 0.0
-            tracing.printed_grid(stage.albedo, stage.ink, pitch, turned, blur, X, Y, value)
-            return value
-        return np.where(np.isnan(X), 0.0, stage.albedo)
 
     def _lit(self, position: float, X: Map, Y: Map, column: Map, row: Map, irradiance: Map) -> NDArray[np.bool_]:
         """Return the points that the projector reaches: facing it, and not behind other parts of the specimen.

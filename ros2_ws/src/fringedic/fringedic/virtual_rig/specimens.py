@@ -69,7 +69,13 @@ def make_surface(specimen: Specimen, stage: StageConfiguration, texture: Texture
         case LeatherSpecimen():
             kind, coefficients = tracing.LEATHER, _leather(specimen)
         case ReferencePlaneSpecimen():
-            kind, coefficients = tracing.REFERENCE_PLANE, _reference_plane(specimen, stage)
+            # A positive angle rotates the plate by -angle about its axis, before it is lifted.
+            through = _MM * np.array([stage.axis_x_mm, 0.0, stage.axis_z_mm])
+            yaw, pitch = math.radians(stage.axis_yaw_degree), math.radians(stage.axis_pitch_degree)
+            axis = rotation_z(yaw) @ rotation_x(pitch)
+            turned = axis @ rotation_y(-math.radians(specimen.angle_degree)) @ axis.T
+            origin = through - turned @ through + [0.0, 0.0, specimen.height_mm * _MM]
+            kind, coefficients = tracing.REFERENCE_PLANE, [*origin, *turned[:, 0], *turned[:, 1]]
     return Surface(kind, np.array(coefficients, dtype=np.float64), outline, stroke_field(strokes, outline))
 
 
@@ -136,16 +142,3 @@ def _leather(s: LeatherSpecimen) -> list[float]:
         s.curvature_per_m,
         s.lift_per_m_per_mm / _MM,
     ]
-
-
-def _reference_plane(s: ReferencePlaneSpecimen, stage: StageConfiguration) -> list[float]:
-    """Return the origin of the plate and the directions of its X and Y: rotated about the axis first, then lifted.
-
-    A positive angle is a rotation by -angle about the axis, which points along +y: it raises the +x side.
-    """
-    through = _MM * np.array([stage.axis_x_mm, 0.0, stage.axis_z_mm])
-    yaw, pitch = math.radians(stage.axis_yaw_degree), math.radians(stage.axis_pitch_degree)
-    axis = rotation_z(yaw) @ rotation_x(pitch)
-    turned = axis @ rotation_y(-math.radians(s.angle_degree)) @ axis.T
-    origin = through - turned @ through + [0.0, 0.0, s.height_mm * _MM]
-    return [*origin, *turned[:, 0], *turned[:, 1]]

@@ -87,7 +87,7 @@ def _gaussians(
     ).astype(np.float64)
 
 
-def _scattered(
+def _scatter(
     rng: np.random.Generator, outline: NDArray[np.float64], per_area: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return points of a jittered grid over the outline: random, but without large gaps and clusters."""
@@ -103,7 +103,7 @@ def _speckle_strokes(outline: NDArray[np.float64], feature: float, coverage: flo
     rng = np.random.default_rng([seed, _SPECKLE])
     # A dot of mean peak density 2.4 is darker than half (density above ln 2) out to 1.6 standard deviations.
     density = -math.log(1.0 - coverage) / (math.pi / 4.0 * (1.25 * feature) ** 2)
-    x, y = _scattered(rng, outline, density)
+    x, y = _scatter(rng, outline, density)
     width = feature / 3.2 * np.exp(rng.normal(0.0, 0.18, x.size))
     return _gaussians(
         x,
@@ -146,10 +146,10 @@ def _lines(rng: np.random.Generator, outline: NDArray[np.float64], feature: floa
                 fading * rng.uniform(0.35, 0.75, steps.size),
             )
         )
-    return _inside(np.concatenate(chains), outline)
+    return _clip(np.concatenate(chains), outline)
 
 
-def _inside(strokes: Strokes, outline: NDArray[np.float64]) -> Strokes:
+def _clip(strokes: Strokes, outline: NDArray[np.float64]) -> Strokes:
     x, y = strokes[:, 0], strokes[:, 1]
     return np.asarray(strokes[(x >= outline[0]) & (x <= outline[1]) & (y >= outline[2]) & (y <= outline[3])])
 
@@ -157,7 +157,7 @@ def _inside(strokes: Strokes, outline: NDArray[np.float64]) -> Strokes:
 def _skin_detail_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
     """Return fine lines between the furrows, pores and grain, and large patches of another tone."""
     rng = np.random.default_rng([seed, _FINE_LINES])
-    x, y = _scattered(rng, outline, 1.0 / (2.6 * feature) ** 2)
+    x, y = _scatter(rng, outline, 1.0 / (2.6 * feature) ** 2)
     family = np.where(rng.uniform(size=x.size) < 0.55, math.radians(15.0), math.radians(-70.0))
     fine = _gaussians(
         x,
@@ -168,7 +168,7 @@ def _skin_detail_strokes(outline: NDArray[np.float64], feature: float, seed: int
         rng.uniform(0.1, 0.65, x.size),
     )
     rng = np.random.default_rng([seed, _GRAIN])
-    x, y = _scattered(rng, outline, 1.0 / (1.5 * feature) ** 2)
+    x, y = _scatter(rng, outline, 1.0 / (1.5 * feature) ** 2)
     width = feature / _FULL_WIDTH * rng.uniform(0.68, 1.1, x.size)
     grain = _gaussians(x, y, width, width, np.zeros(x.size), rng.exponential(0.22, x.size))
     return np.concatenate([fine, grain, _patch_strokes(outline, 30.0 * feature, 0.25, seed)])
@@ -176,7 +176,7 @@ def _skin_detail_strokes(outline: NDArray[np.float64], feature: float, seed: int
 
 def _patch_strokes(outline: NDArray[np.float64], size: float, height: float, seed: int) -> Strokes:
     rng = np.random.default_rng([seed, _PATCHES])
-    x, y = _scattered(rng, outline, 1.0 / size**2)
+    x, y = _scatter(rng, outline, 1.0 / size**2)
     width = 0.45 * size * rng.uniform(0.7, 1.3, x.size)
     return _gaussians(x, y, width, width, np.zeros(x.size), rng.uniform(0.0, height, x.size))
 
@@ -184,7 +184,7 @@ def _patch_strokes(outline: NDArray[np.float64], size: float, height: float, see
 def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
     """Return the grain of leather: creases (edges of Voronoi cells), pores, and patches of another tone."""
     rng = np.random.default_rng([seed, _FURROWS])
-    cells = Voronoi(np.stack(_scattered(rng, outline, 1.0 / (3.0 * feature) ** 2), axis=1))
+    cells = Voronoi(np.stack(_scatter(rng, outline, 1.0 / (3.0 * feature) ** 2), axis=1))
     edges = np.array(cells.ridge_vertices)
     first, last = (cells.vertices[edges[(edges >= 0).all(axis=1), end]] for end in (0, 1))
     along = last - first
@@ -202,10 +202,10 @@ def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> S
         rng.uniform(0.25, 1.2, count),
     )
     rng = np.random.default_rng([seed, _GRAIN])
-    x, y = _scattered(rng, outline, 1.0 / (2.8 * feature) ** 2)
+    x, y = _scatter(rng, outline, 1.0 / (2.8 * feature) ** 2)
     width = feature / _FULL_WIDTH * rng.uniform(0.75, 1.3, x.size)
     pores = _gaussians(x, y, width, width, np.zeros(x.size), rng.uniform(0.1, 1.5, x.size))
-    return np.concatenate([_inside(creases, outline), pores, _patch_strokes(outline, 25.0 * feature, 0.3, seed)])
+    return np.concatenate([_clip(creases, outline), pores, _patch_strokes(outline, 25.0 * feature, 0.3, seed)])
 
 
 def reflectance_at(

@@ -75,7 +75,7 @@ class Hold(_Command):
 
 CommandT = TypeVar("CommandT", bound=_Command)
 COMMANDS: dict[str, type[_Command]] = {"start": Start, "control": Control, "measure": Measure, "hold": Hold}
-FOR_EVERYBODY = ("hold",)  # also without the wheel
+FOR_EVERYBODY = ("hold",)  # these commands need no wheel
 
 
 class Rig(Protocol):
@@ -180,7 +180,8 @@ class _Site:
 
     @_answering
     async def gauge(self, request: Request) -> Response:
-        ends, subset = (_point(request, "from"), _point(request, "to")), _number(request, "subset")
+        ends = _point(request, "from"), _point(request, "to")
+        subset = _finite("subset", request.query_params.get("subset", ""))
         return JSONResponse(plain(await run_in_threadpool(maps.gauge, self._rig.maps, *ends, subset)))
 
     @_answering
@@ -320,10 +321,6 @@ def _step_and_name(request: Request) -> tuple[int, str]:
 def _point(request: Request, key: str) -> Point:
     column, _, row = request.query_params.get(key, "").partition(",")
     return _finite(key, column), _finite(key, row)
-
-
-def _number(request: Request, key: str) -> float:
-    return _finite(key, request.query_params.get(key, ""))
 
 
 def _finite(key: str, text: str) -> float:

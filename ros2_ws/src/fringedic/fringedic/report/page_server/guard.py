@@ -64,32 +64,27 @@ class Guard:
         headers = Headers(scope=scope)
         if headers.get("host", "") not in self._hosts:
             return PlainTextResponse("This name is not the server's: open the address that it has printed.", 403)
-        if not self._is_own_origin(scope, headers):
+        origin = headers.get("origin")
+        if scope["type"] == "http" and scope["method"] in ("GET", "HEAD") and origin is None:
+            own_origin = True
+        else:
+            own_origin = origin == f"{'https' if self._secure else 'http'}://{headers.get('host')}"
+        if not own_origin:
             return PlainTextResponse("Requests of other sites are refused.", 403)
         session = self._sessions.name_of(HTTPConnection(scope).cookies.get(self._cookie, ""))
         if scope["type"] == "http" and scope["path"] == "/" and "token" in (query := Request(scope).query_params):
-            return self._admit(query["token"], session)
+            token = query["token"]
+            cookie = self._sessions.admit(token)
+            if cookie is None:
+                return PlainTextResponse("The address has a wrong token: copy it completely from the terminal.", 403)
+            response = RedirectResponse("/", 303)  # removes the token from the address bar
+            if session is None:
+                response.set_cookie(self._cookie, cookie, httponly=True, samesite="strict", secure=self._secure)
+            return response
         if session is None:
             return PlainTextResponse(EXPIRED, 403)
         scope.setdefault("state", {})["session"] = session
         return None
-
-    def _is_own_origin(self, scope: Scope, headers: Headers) -> bool:
-        """Return whether a request that has an effect, or opens a stream, comes from this page."""
-        origin = headers.get("origin")
-        if scope["type"] == "http" and scope["method"] in ("GET", "HEAD") and origin is None:
-            return True
-        return origin == f"{'https' if self._secure else 'http'}://{headers.get('host')}"
-
-    def _admit(self, token: str, session: str | None) -> Response:
-        """Answer with a cookie; a browser that has one keeps its session, and with it the wheel."""
-        cookie = self._sessions.admit(token)
-        if cookie is None:
-            return PlainTextResponse("The address has a wrong token: copy it completely from the terminal.", 403)
-        response = RedirectResponse("/", 303)  # removes the token from the address bar
-        if session is None:
-            response.set_cookie(self._cookie, cookie, httponly=True, samesite="strict", secure=self._secure)
-        return response
 
 
 def _with_headers(send: Send) -> Send:

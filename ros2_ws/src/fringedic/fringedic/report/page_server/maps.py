@@ -120,7 +120,13 @@ class SpooledMaps:
             np.save(place / f".{name}.npy", np.ascontiguousarray(sampled, np.float32))
         for name in kept:  # all together when they are complete, because a browser may ask for them meanwhile
             (place / f".{name}.npy").rename(place / f"{name}.npy")
-        forgotten = self._forget_oldest()
+        places = sorted(self._folder.iterdir())
+        sizes = [sum(file.stat().st_size for file in place.iterdir()) for place in places]
+        forgotten = set()
+        while sum(sizes) > self._most and len(places) > 1:
+            forgotten.add(int(places[0].name))
+            shutil.rmtree(places.pop(0))
+            sizes.pop(0)
         names = {**self._names, step: _names_in(place)}
         self._names = {each: names[each] for each in sorted(names) if each not in forgotten}  # at once, for all threads
 
@@ -145,17 +151,6 @@ class SpooledMaps:
         rows, columns = next(iter(maps.values())).shape
         fields = {name: (("row", "column"), values) for name, values in maps.items()}
         return xr.Dataset(fields, {"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)})
-
-    def _forget_oldest(self) -> set[int]:
-        """Remove the oldest steps when all maps are too large; return their numbers."""
-        places = sorted(self._folder.iterdir())
-        sizes = [sum(file.stat().st_size for file in place.iterdir()) for place in places]
-        forgotten = set()
-        while sum(sizes) > self._most and len(places) > 1:
-            forgotten.add(int(places[0].name))
-            shutil.rmtree(places.pop(0))
-            sizes.pop(0)
-        return forgotten
 
 
 def _names_in(place: Path) -> list[str]:

@@ -49,16 +49,19 @@ class Address:
     def url(self) -> str:
         """Return the address for people, with the token."""
         scheme = "http" if self.certificate is None else "https"
-        return f"{scheme}://{_bracketed(self.host)}:{self.port}/?token={self.token}"
+        return f"{scheme}://{_bracket(self.host)}:{self.port}/?token={self.token}"
 
     @property
     def is_local(self) -> bool:
         """Return whether only this computer can reach it."""
-        return _is_loopback(self.host)
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
 
     def hosts(self) -> list[str]:
         """Return the names with port by which browsers may address the server."""
-        names = {_bracketed(self.host)} | ({"localhost"} if self.is_local else {socket.gethostname()})
+        names = {_bracket(self.host)} | ({"localhost"} if self.is_local else {socket.gethostname()})
         return [f"{name}:{self.port}" for name in names]
 
 
@@ -156,12 +159,5 @@ class PageServer:
             runner.run(self._server.serve(sockets=[self._listening]))
 
 
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _bracketed(host: str) -> str:
+def _bracket(host: str) -> str:
     return f"[{host}]" if ":" in host else host
