@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from fringedic.datasets import open_experiment, process_bag
+from fringedic.recording.order import is_latched
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import info, recover
 from fringedic.recording.sentences import content_sentences, next_command
@@ -51,14 +52,19 @@ def bag(tmp_path: Path) -> Path:
     return tmp_path / "bag"
 
 
-def messages(bag: Path) -> list[RawMessage]:
-    return list(BagReader(bag).stored())
+def messages(bag: Path, *, latched: bool = False) -> list[RawMessage]:
+    """Messages in the order of the files; each file begins with copies of those that are latched."""
+    reader = BagReader(bag)
+    return [message for message in reader.stored() if is_latched(reader.topics[message.topic]) == latched]
 
 
 def test_all_messages_of_all_parts_are_in_the_recording(bag: Path) -> None:
     progress = Progress()
     join_parts(bag, progress, Split(size=300_000))
     assert messages(bag) == 2 * messages(RECORDED)
+    assert {each.data for each in messages(bag, latched=True)} == {
+        each.data for each in messages(RECORDED, latched=True)
+    }
     files = BagReader(bag).files
     assert len(files) >= 3
     assert files[0].name == "bag_0.mcap"

@@ -69,7 +69,8 @@ def readable(path: Path) -> Readable:
     files = [path] if path.is_file() else sorted(each for each in path.glob("*") if each.name.endswith(STORED))
     if path.suffix == ".bag" and path.is_file():
         raise RecordingError(f"{path}: is a recording of ROS 1; convert it: {convert_command(path)}")
-    others = [file for file in files if file.suffix != ".mcap" or _is_unchunked(file)]
+    stored = [file for file in files if file.name.endswith(STORED)]  # any other file is refused by the reader
+    others = [file for file in stored if file.suffix != ".mcap" or _is_unchunked(file)]
     by_message = _with_compressed_messages((path if path.is_dir() else path.parent) / METADATA)
     if not (others or by_message.intersection(file.name for file in files)):
         return Readable(path)
