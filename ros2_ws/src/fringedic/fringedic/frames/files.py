@@ -16,6 +16,9 @@ from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
 from fringedic.wording.causes import cause_of
 
+_WHOLE = re.compile(r"(\d+)")
+_DECIMAL = re.compile(r"((?:(?<![a-z0-9])-)?\d+(?:[.,]\d+)?)")
+_BEHIND_POINT = re.compile(r"\d[.,](\d+)")
 _PNG, _PNG_END = b"\x89PNG", b"IEND"
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it prints what is wrong with a file
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
@@ -149,14 +152,30 @@ def image_files(places: Iterable[Path]) -> list[Path]:
         if not place.is_dir() and not is_pattern:
             raise ImageError(f"{place}: no such image or folder of images")
         among = place.parent.glob(place.name) if is_pattern else place.iterdir()
-        images = sorted((file for file in among if file.suffix.lower() in IMAGE_SUFFIXES), key=_by_number)
+        images = _in_order(
+            file for file in among if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+        )
         if not images:
             raise ImageError(f"{place}: contains no images; known are {', '.join(IMAGE_SUFFIXES)}")
         found += images
     return found
 
 
-def _by_number(file: Path) -> list[tuple[int, str]]:
-    """Return the numbers and texts of a name, so that numbers are compared as numbers."""
-    parts = re.split(r"(\d+)", file.name.lower())
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+def _in_order(files: Iterable[Path]) -> list[Path]:
+    """Return files in the order of the numbers in their names: -1, 0, 0.25, 0.5, 2, 10.
+
+    A point or comma is that of a decimal number, unless the numbers behind it count on, as 1.9 and 1.10 do. A hyphen
+    between numbers, as in dates, is no sign.
+    """
+    images = list(files)
+    behind = [part for image in images for part in _BEHIND_POINT.findall(image.stem)]
+    counted = sorted(map(int, behind))
+    counts_on = len(set(map(len, behind))) > 1 and counted == list(range(counted[0], counted[0] + len(counted)))
+    number = _WHOLE if counts_on and not any(part.startswith("0") for part in behind) else _DECIMAL
+
+    def by_number(image: Path) -> list[tuple[bool, float, str]]:
+        parts = number.split(image.stem.lower())  # texts and numbers in turns
+        key = [(i % 2 == 1, float(part.replace(",", ".")) if i % 2 else 0.0, part) for i, part in enumerate(parts)]
+        return [*key, (False, 0.0, image.suffix.lower())]
+
+    return sorted(images, key=by_number)

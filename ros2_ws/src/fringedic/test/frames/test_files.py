@@ -11,7 +11,7 @@ import tifffile
 from PIL import Image as Picture
 
 from fringedic.errors import ImageError
-from fringedic.frames.files import read_grey
+from fringedic.frames.files import image_files, read_grey
 
 TURNED, BITS, PHOTOMETRIC, WHITE_IS_0 = 274, 258, 262, 0  # tags of TIFF 6.0
 
@@ -96,3 +96,20 @@ def test_libraries_print_nothing_about_files_that_are_cut_off(
     with pytest.raises(ImageError, match=words):
         read_grey(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["load_-2.5", "load_-1", "load_0", "load_0.25", "load_0.5", "load_1.05", "load_1.5", "load_10"],
+        ["a_0,5", "a_1", "a_1,25", "a_10"],
+        ["2026-05-02 10", "2026-05-12 9", "2026-11-01 1"],
+        ["cam1.8", "cam1.9", "cam1.10", "cam1.11"],
+        ["step9_cam2", "step10_cam1", "step10_cam2"],
+    ],
+)
+def test_names_are_ordered_as_people_number_them(tmp_path, names):
+    for name in reversed(names):
+        (tmp_path / f"{name}.tif").touch()
+    (tmp_path / "._load_0.tif").touch()  # what macOS keeps beside a file
+    assert [file.stem for file in image_files([tmp_path])] == names
