@@ -18,7 +18,7 @@ from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import DicResult
 
 MEDIAN_POINTS = 20_000  # of a field, from which its median displacement is computed
-TURNED = 0.8  # of the agreement so far, below which a prediction may be wrong: the motion may have turned
+TURNED = 0.97  # of the agreement so far, below which a prediction may be wrong: the motion may have turned
 WORTH = 0.1  # fraction of the points in view that a later reference has to gain, because composing adds noise
 _INVERTING = 5  # repetitions that solve p + d(p) = x for p; each lessens the error by the strain
 _NOT_COMPARABLE = ("spacing", "region", "method")  # changes after which fields do not continue those before
@@ -67,6 +67,7 @@ class DisplacementTracker:
         self._link: _Link | None = None
         self._last: _Link | None = None
         self._agreed = 0.0
+        self._expected = 0.0  # agreement of a step whose prediction is right
         self._mask: np.ndarray | None = None  # of the region in the reference step
         self._wanted = 1.0  # fraction of the grid's points that lie in the region
 
@@ -131,6 +132,7 @@ class DisplacementTracker:
         self._prepared = (reference_key, reference)
         self._textures.keep(key, texture, parameters.kept_steps, reference_key)
         self._agreed = max(self._agreed, agreed)
+        self._expected = max(self._expected, agreed)
         if link.field is not None and link.step != (self._link.step if self._link else None):
             self._history = []
         self._link = link if link.field is not None else None
@@ -151,7 +153,7 @@ class DisplacementTracker:
         """Forget the history: the following steps are correlated with the reference step."""
         self._history = []
         self._link = self._last = None
-        self._agreed = 0.0
+        self._agreed = self._expected = 0.0
 
     def _measure(
         self, link: _Link, texture: np.ndarray, initial: tuple[np.ndarray, np.ndarray] | None = None
@@ -210,10 +212,12 @@ class DisplacementTracker:
         found = None if predicted is None else self._attempt(link, texture, predicted)
         if found is None:
             return self._measure(link, texture)
-        if found[1] >= TURNED * self._agreed:
+        if found[1] >= TURNED * self._expected:
             return found
         anew = self._attempt(link, texture)
-        return found if anew is None or anew[1] <= found[1] else anew
+        best = found if anew is None or anew[1] < found[1] else anew
+        self._expected = best[1]  # no better start is known: the next step is as good as this one
+        return best
 
     def _correlate_with_last(self, link: _Link, texture: np.ndarray) -> tuple[_Link, xr.Dataset, float] | None:
         """Correlate with the latest step; None when it is the link itself, is not to be used, or does not agree."""

@@ -344,6 +344,33 @@ def rectangle(left, top, right, bottom):
     return Region((Polygon(corners),), 128, 96).to_text()
 
 
+def test_a_step_does_not_depend_on_those_before(speckle):
+    """A stretch leads the prediction of the rotation after it astray; the reference is still seen everywhere."""
+    surface = speckle((240, 320), 4)
+
+    def rotation(x, y):
+        c, s = np.cos(np.radians(5)), np.sin(np.radians(5))
+        return (c - 1) * (x - 160) - s * (y - 120) + 6, s * (x - 160) + (c - 1) * (y - 120) + 3
+
+    def stretched(part):
+        return surface.image(lambda x, y: (part * x, part * y), noise=20).astype(np.float32)
+
+    reference = surface.image(noise=20, seed=1).astype(np.float32)
+    steps = [stretched(0.0075), stretched(0.01)]
+    turned = surface.image(rotation, noise=20, seed=2).astype(np.float32)
+    fields = []
+    for between in ([], steps[:1], steps):
+        tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+        for number, texture in enumerate([reference, *between, turned]):
+            result = tracker.step("test", number, number, texture)
+        assert result.correlated_step == 0
+        fields.append(result.field)
+    for field in fields[1:]:
+        assert np.isfinite(field.displacement_x).sum() > 0.999 * np.isfinite(fields[0].displacement_x).sum()
+        away = (field.displacement_x - fields[0].displacement_x) / fields[0].sigma_x
+        assert float(np.sqrt((away**2).mean())) < 0.05
+
+
 def test_a_later_reference_is_measured_in_the_same_region(surface):
     """Beside the region another body moves otherwise; windows at the border would contain it."""
     tracker = DisplacementTracker(DicParameters(window=24, spacing=4, region=rectangle(0, 0, 72, 96)))
