@@ -15,13 +15,14 @@ from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
 from fringedic.frames.files import read_grey
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
+from fringedic.phase.beats import combine_beats
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import Sample, half_periods
 from fringedic.phase.checks.stack import inspect_stack
 from fringedic.phase.demodulation import absolute_phase
 from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
 from fringedic.phase.harmonic_correction import fit_harmonic_error
-from fringedic.phase.layout import layout_of
+from fringedic.phase.layout import layout_of, nearly_alike, unambiguous_range
 from fringedic.phase.sentences import describe
 from fringedic.phase.settings import PhaseSettings
 
@@ -107,15 +108,20 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         if description.gray_code is None
         else _blocks(folder, description.gray_code, noise, frames, description.orientation)
     )
-    absolute = _absolute(waves, blocks, description)
     finest, measured = waves[-1], maps[-1]
+    pitches = [wave.period for wave in waves]
+    by_beats = blocks is None and nearly_alike(pitches) and unambiguous_range(pitches) >= description.projector_px
+    if by_beats:
+        absolute, sigma = _from_beats(waves, description)
+    else:
+        absolute, sigma = _absolute(waves, blocks, description), finest.sigma
     origin = TURN * description.origin / finest.period
     image = ("row", "column")
     valid = np.isfinite(absolute.values)
     coordinate = absolute.values * finest.period / TURN
     result = measured[["modulation", "texture"]].assign(
         phase=(image, (absolute.values - origin).astype(np.float32), {"units": "rad", **absolute.attrs}),
-        sigma=(image, np.where(valid, finest.sigma, np.nan).astype(np.float32), {"units": "rad"}),
+        sigma=(image, np.where(valid, sigma, np.nan).astype(np.float32), {"units": "rad"}),
         coordinate=(image, coordinate.astype(np.float32), {"units": "projector px"}),
         valid=(image, valid),
     )
@@ -124,7 +130,9 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         ratio = finest.period / coarse.period
         away = coarse.phase - absolute.values * ratio
         away -= TURN * np.round(away / TURN)
-        result["closure"] = (image, (away / np.hypot(coarse.sigma, ratio * finest.sigma)).astype(np.float32))
+        # a weighted mean contains the coarse phase; that of the finest fringes alone does not
+        variance = coarse.sigma**2 + (-1 if by_beats else 1) * (ratio * sigma) ** 2
+        result["closure"] = (image, (away / np.sqrt(variance)).astype(np.float32))
     if blocks is not None and description.gray_code is not None:
         inside = valid & np.isfinite(blocks)
         place = coordinate / description.gray_code.block_px
@@ -270,6 +278,17 @@ def _absolute(waves: list[_Wave], blocks: np.ndarray | None, description: Fringe
     for coarse, fine in pairwise(levels):
         phase = assign_orders(fine.phase, phase.values * coarse.period / fine.period)
     return phase
+
+
+def _from_beats(waves: list[_Wave], description: FringeImageDescription) -> tuple[xr.DataArray, np.ndarray]:
+    """Return the absolute phase of the finest wave from all waves [rad], zero at column or row 0, and its deviation."""
+    middle = 0.5 * (description.projector_px - 1)
+    turned = [np.asarray(wave.phase) - TURN * middle / wave.period for wave in waves]
+    wrapped = np.array([each - TURN * np.round(each / TURN) for each in turned], np.float32)
+    sigmas = np.array([wave.sigma for wave in waves], np.float32)
+    phase, sigma = combine_beats(wrapped, sigmas, [wave.period for wave in waves], known_noise=True)
+    absolute = xr.DataArray(phase + TURN * middle / waves[-1].period, dims=("row", "column"), attrs={"relative": 0})
+    return absolute, sigma
 
 
 def _beat(coarse: _Wave, fine: _Wave) -> _Wave:

@@ -31,6 +31,8 @@ _LINES = 240  # are looked at: 12 of them are enough
 # Part of a coarsest fringe by which the absolute phase jumps where this fringe repeats; a step of the surface shifts
 # the fringes by less, because the coarsest one covers the view.
 _REPETITION = 0.75
+_LIT = 0.3  # of the strongest modulation
+_AGREEING = 0.5  # part of what is lit; phases that have nothing to do with each other agree at a few percent
 
 
 def measure_phase(
@@ -183,12 +185,28 @@ def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) 
     return result, [Finding(FindingKind.RELATIVE_ONE_IMAGE, patterns=(shown,))]
 
 
+def _require_agreement(result: xr.Dataset, pitches: Sequence[float]) -> None:
+    """Refuse phases of several pitches that agree at a small part of what is lit."""
+    modulation = result.modulation.values
+    lit = modulation > _LIT * np.percentile(modulation, 95)
+    share = float(result.valid.values[lit].mean()) if lit.any() else 1.0
+    if share < _AGREEING:
+        named = ", ".join(f"{pitch:g}" for pitch in pitches)
+        raise PhaseError(
+            f"the phases of pitches {named} px agree at {100 * share:.0f} % of what is lit only: check the pitches, "
+            "the order of the shifts, and that the surface stood still",
+            code=ErrorCode.WRONG_PATTERN,
+        )
+
+
 def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[Finding]:
     """Unwrap over the image where the frames do not determine the orders; refuse orders that contradict each other."""
     layout = layout_of(stack.patterns)
     result.phase.attrs["relative"] = 0
     if layout.code:
         return []
+    if layout.by_beats:
+        _require_agreement(result, layout.pitches)
     across = stack.patterns[0].orientation == Orientation.VERTICAL
     values = result.phase.values if across else result.phase.values.T
     growth = np.diff(values[:: max(1, len(values) // _LINES)])

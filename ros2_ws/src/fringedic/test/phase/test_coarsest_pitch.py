@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fringedic.errors import ErrorCode, PhaseError, StepError
+from fringedic.errors import ErrorCode, FringedicError, PhaseError, StepError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence
@@ -91,3 +91,11 @@ def test_a_sequence_without_a_pitch_that_covers_the_view_is_refused_for_that_rea
     with pytest.raises(StepError, match=r"^no pitch covers the view: .* of the coarsest fringes") as refused:
         measure_phase(frames, patterns)
     assert refused.value.code is ErrorCode.INVALID_SEQUENCE
+
+
+def test_pitches_that_do_not_agree_are_refused():
+    """The shifts of one pitch run backwards: each pitch fits alone, and no position explains all of them."""
+    frames, patterns = shown((48, 45, 42), 12, np.tile(80 + 2.2 * np.arange(640), (60, 1)))
+    frames[12:24] = frames[12:24][[*range(10, -1, -1), 11]]
+    with pytest.raises(FringedicError, match=r"45|agree at \d+ % of what is lit only"):
+        measure_phase(frames, patterns)

@@ -35,6 +35,7 @@ _LAGS = (0.08, 0.95)  # these parts of the pattern before leave a misfit and are
 _FEWER_JUMPS = 0.5  # the right order of the bits leaves at most this part of the jumps
 _NO_SINUSOID = 0.15  # no explanation fits frames whose RMS residual exceeds this part of the modulation
 _ALIKE = 2.0  # a pitch that is seen so many times smaller or larger shows another pattern
+_SAME_LENGTH = 0.02  # by which the lengths may differ that pitches give for two pixels
 _REPEATED = 1.25  # so many of the coarsest fringes in view are more than one that covers it
 _ONE_PHASE = 0.95  # |mean of exp(i phi)| exceeds this for one phase; fringes over a third of a pitch have 0.83
 _SMALLEST_DEVIATION = 0.5  # a wrong frame deviates from its pattern by this part of the deviation of the pattern before
@@ -141,8 +142,8 @@ def _find_repeating(sample: Sample, evidence: Evidence, patterns: Sequence[Proje
         return None
     growth = [float(np.angle(np.mean(sample.growth(number)))) for number in range(len(pitches))]
     lengths = [turn * pitch for turn, pitch in zip(growth, pitches, strict=True)]
-    if min(np.sign(lengths[0]) * each for each in lengths) < max(map(abs, lengths)) / _ALIKE:
-        return None
+    if np.ptp(lengths) > _SAME_LENGTH * max(map(abs, lengths)):
+        return None  # a pitch is another one than described
     place, length = (sample.x, sample.size[1]) if sample.is_vertical else (sample.y, sample.size[0])
     # the growth is that over two pixels
     fringes = abs(growth[0]) / (2 * np.pi) * 0.5 * length * 0.5 * float(np.ptp(place))

@@ -196,6 +196,9 @@ class Misfit:
             # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
             part = Fraction(ratio).limit_denominator(_REPEATING)
             turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
+            if self._layout.by_beats and turns == 1:  # no pitch predicts another
+                result.append(0.0)
+                continue
             weight = 1 / (1 + turns**2 * spread / _CERTAIN**2) ** 2
             angle = turns * away
             one, other = _halves(1 - np.exp(1j * angle))
@@ -208,7 +211,7 @@ class Misfit:
         return Evidence(
             residual=tuple(each.residual for each in found),
             step=tuple(self._step(number, found) for number in range(len(found))),
-            mismatch=(0.0,) * len(result) if self._layout.by_beats else tuple(result),  # no pitch predicts another
+            mismatch=tuple(result),
             unevenness=_unevenness(found[0].fit) if self._is_even and found[0].count == 3 else 0.0,
             wrong_bits=wrong,
             code_offset=offset,
