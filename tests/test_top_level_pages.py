@@ -23,7 +23,8 @@ def test_links_exist(page: str) -> None:
 def test_citation_and_changelog_name_the_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == fringedic.__version__
-    assert f"\n## {fringedic.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    heading = f"## {fringedic.__version__} ({citation['date-released']})"
+    assert heading in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
 
 
 def test_readme_lists_the_rooms_of_the_library() -> None:
