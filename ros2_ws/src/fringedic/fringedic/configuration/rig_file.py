@@ -151,6 +151,11 @@ class RigFile(Section):
             )
         return self
 
+    def with_calibration(self, file: str | os.PathLike[str]) -> RigFile:
+        """Return the rig with another calibration file, checked as when it is read; its path is absolute."""
+        sections = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self).model_validate({**sections, "calibration": str(file)})
+
     @property
     def topic_namespace(self) -> str:
         """Namespace of the topics: that of the rig, followed by the name of its sensor if it was given one."""

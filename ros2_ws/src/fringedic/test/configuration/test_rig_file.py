@@ -135,6 +135,14 @@ def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     assert load_rig_file(pasted).rig_model.sensor == "right", "not that of the rig file"
 
 
+def test_a_rig_with_another_calibration_has_its_model(tmp_path):
+    rig = load_rig_file(write(tmp_path, VIRTUAL))
+    other = replace(rig.rig_model, identifier="measured")
+    other.to_yaml(tmp_path / "measured.yaml")
+    assert rig.with_calibration(tmp_path / "measured.yaml").rig_model == RigModel.from_yaml(tmp_path / "measured.yaml")
+    assert rig.rig_model.identifier != "measured"
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [

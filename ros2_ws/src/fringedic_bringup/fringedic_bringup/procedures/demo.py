@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fringedic.command.outcome import CalibrationReport, Progress, RunReport
-from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import StepFailedError
 from fringedic_bringup.procedures.calibrate import calibrate
 from fringedic_bringup.procedures.run import load_rig, run_experiment
@@ -48,5 +47,5 @@ def run_demo(
         calibration = calibrations[optics]
         if not calibration.go:
             raise StepFailedError(f"{name}: {calibration.words[-1]}")
-        rig = RigFile.model_validate({**dict(rig), "calibration": str(calibration.file.absolute())})
+        rig = rig.with_calibration(calibration.file.absolute())
         yield run_experiment(rig, path, programme, folder / name, progress, domain=domain)
