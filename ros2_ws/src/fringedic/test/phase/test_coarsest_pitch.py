@@ -61,7 +61,9 @@ def shown(pitches, shifts, columns, noise=1.5):
     return np.clip(np.rint(noisy), 0, 254).astype(np.uint8), patterns
 
 
-@pytest.mark.parametrize(("pitches", "shifts"), [((48, 45, 42), 12), ((19.2, 18, 17), 4), ((36, 31, 25), 3)])
+@pytest.mark.parametrize(
+    ("pitches", "shifts"), [((48, 45, 42), 12), ((19.2, 18, 17), 4), ((36, 31, 25), 3), ((60, 49.5, 33), 4)]
+)
 def test_pitches_that_are_nearly_alike_are_measured_by_their_beats(pitches, shifts):
     """A step of 40 columns in the lower half changes no order; sigma is that of the weighted mean of all pitches."""
     columns = np.tile(80 + 2.2 * np.arange(640), (240, 1))
@@ -99,3 +101,12 @@ def test_pitches_that_do_not_agree_are_refused():
     frames[12:24] = frames[12:24][[*range(10, -1, -1), 11]]
     with pytest.raises(FringedicError, match=r"45|agree at \d+ % of what is lit only"):
         measure_phase(frames, patterns)
+
+
+def test_beats_need_no_pitch_that_covers_the_view():
+    """Three shifts that are late by one fit alone and grow as they should: the frames are wrong, not the sequence."""
+    frames, patterns = shown((90, 60), 3, np.tile(80 + 2.2 * np.arange(640), (240, 1)))
+    frames[3:] = frames[[5, 3, 4]]
+    with pytest.raises(StepError) as refused:
+        measure_phase(frames, patterns)
+    assert refused.value.code in (ErrorCode.WRONG_PATTERN, ErrorCode.FRAMES_OUT_OF_ORDER)

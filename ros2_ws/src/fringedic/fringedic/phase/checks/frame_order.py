@@ -137,8 +137,8 @@ def check_order(
 
 def _find_repeating(sample: Sample, evidence: Evidence, patterns: Sequence[ProjectedPattern]) -> Finding | None:
     """Return that no pitch covers the view, where every pitch fits alone and all are seen in their proportions."""
-    pitches = sample.layout.pitches
-    if not replace(evidence, mismatch=()).is_small or sample.layout.code or len(pitches) == 1:
+    layout, pitches = sample.layout, sample.layout.pitches
+    if layout.code or layout.by_beats or len(pitches) == 1 or not replace(evidence, mismatch=()).is_small:
         return None
     growth = [float(np.angle(np.mean(sample.growth(number)))) for number in range(len(pitches))]
     lengths = [turn * pitch for turn, pitch in zip(growth, pitches, strict=True)]

@@ -185,6 +185,14 @@ class Misfit:
         phase = np.arctan2(found[0].fit[2], found[0].fit[1])
         for coarse, fine, (wide, narrow) in zip(found, found[1:], pairwise(self._layout.pitches), strict=False):
             ratio = wide / narrow
+            # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
+            part = Fraction(ratio).limit_denominator(_REPEATING)
+            turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
+            if self._layout.by_beats:
+                if turns == 1:  # without its order no pitch predicts another
+                    result.append(0.0)
+                    continue
+                phase = np.arctan2(coarse.fit[2], coarse.fit[1])
             expected = phase * ratio
             away = np.arctan2(fine.fit[2], fine.fit[1]) - expected
             away -= 2 * np.pi * np.round(away / (2 * np.pi))
@@ -193,12 +201,6 @@ class Misfit:
                 ratio**2 / (coarse.count * square_modulation(coarse.fit))
                 + 1 / (fine.count * square_modulation(fine.fit))
             )
-            # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
-            part = Fraction(ratio).limit_denominator(_REPEATING)
-            turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
-            if self._layout.by_beats and turns == 1:  # no pitch predicts another
-                result.append(0.0)
-                continue
             weight = 1 / (1 + turns**2 * spread / _CERTAIN**2) ** 2
             angle = turns * away
             one, other = _halves(1 - np.exp(1j * angle))
