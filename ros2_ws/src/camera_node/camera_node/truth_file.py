@@ -49,12 +49,13 @@ class TruthFile:
 
         The first file that xarray writes imports Dask: more than a second of the thread that exposes.
         """
+        of_step = _of_step(truth)
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with h5netcdf.File(self._path, "w") as file:
             file.dimensions = {"step": None, **truth.sizes}
             file.attrs["reference_position_m"] = truth.attrs["reference_position_m"]
             for name, variable in truth.variables.items():
-                if name in _of_step(truth):
+                if name in of_step:
                     self._create_variable(file, name, ("step", *variable.dims), variable.dtype)
                 else:
                     self._create_variable(file, name, variable.dims, variable.dtype)[...] = variable.values
