@@ -32,7 +32,8 @@ from fringedic_ros.testing import Bench, connected_bench, fringe_step, of_stamp,
 
 POSITIONS = (0.0, 1.0e-4, 2.0e-4)  # crosshead of each step [m]
 SPACING = 2
-FIELDS = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
+FIELDS = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "noise_z", "noise_z_deformed"]
+FIELDS += ["u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
 SIGMAS = ["sigma_e_11", "sigma_e_22", "sigma_e_12"]
 
 
@@ -203,7 +204,7 @@ def test_viewers_find_a_value_at_every_point(bench: CouplingBench, name: str) ->
     strain, displacement = (cloud_arrays(of_stamp(each, bench.stamp(1))[0]) for each in (strains, bench.displacement))
     strain_fields = [field for field in strain if field not in ("x", "y", "z")]
     assert set(strain_fields) == {"e_11", "e_22", "e_12", *SIGMAS}
-    for cloud, fields in ((displacement, FIELDS[3:12]), (strain, strain_fields)):
+    for cloud, fields in ((displacement, FIELDS[3:14]), (strain, strain_fields)):
         shown = np.isfinite(cloud["x"]) & np.isfinite(cloud["y"]) & np.isfinite(cloud["z"])
         assert shown.mean() > 0.5
         for field in fields:

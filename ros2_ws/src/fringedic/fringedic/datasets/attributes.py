@@ -58,6 +58,28 @@ def recorded_metadata(dataset: xr.Dataset) -> Metadata:
         raise DatasetError(f"attribute '{METADATA_ATTRIBUTE}' of the dataset: {place}: {problem['msg']}") from error
 
 
+def parameters_of(step: xr.Dataset) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the processing that applied at a step, by node; empty if they are not recorded.
+
+    Parameters
+    ----------
+    step
+        One step of a dataset, or a dataset without steps.
+
+    Examples
+    --------
+    >>> recorded = [{"from_step": 0, "parameters": {"dic": {"window": 32}}}]
+    >>> recorded += [{"from_step": 3, "parameters": {"dic": {"window": 48}}}]
+    >>> parameters_of(xr.Dataset(coords={"step": 2}, attrs={"parameters": json.dumps(recorded)}))
+    {'dic': {'window': 32}}
+    """
+    recorded = json.loads(step.attrs.get("parameters", "[]"))
+    if "step" in step.coords:
+        number = int(step["step"])
+        recorded = [each for each in recorded if each["from_step"] <= number] or recorded[:1]
+    return dict(recorded[-1]["parameters"]) if recorded else {}
+
+
 def image_size(dataset: xr.Dataset) -> tuple[int, int] | None:
     """Return width and height of the camera's images [px], None if they are not known.
 

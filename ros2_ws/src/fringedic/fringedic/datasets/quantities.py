@@ -44,6 +44,8 @@ MAPS: dict[str, Quantity] = {
     "sigma_u": Quantity("m", "standard deviation of u"),
     "sigma_v": Quantity("m", "standard deviation of v"),
     "sigma_w": Quantity("m", "standard deviation of w"),
+    "noise_z": Quantity("m", "noise of the filtered height of the reference surface"),
+    "noise_z_deformed": Quantity("m", "noise of the filtered height of this step's surface at the moved point"),
     "u_t": Quantity("m", "displacement along the surface, first tangent"),
     "v_t": Quantity("m", "displacement along the surface, second tangent"),
     "w_n": Quantity("m", "displacement along the surface's normal"),

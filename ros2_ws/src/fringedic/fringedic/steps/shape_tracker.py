@@ -23,10 +23,11 @@ from fringedic.surface.shading import LitTexture
 
 _SHAPE = ("x", "y", "z", "sigma_z")
 _VECTORS = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
+_NOISE = ("noise_z", "noise_z_deformed")
 _LOCAL = ("u_t", "v_t", "w_n")
 _NONE_YET = "no calibration yet: publish one on 'calibration', or process the recording with --calibration FILE"
 STRAIN_FIELDS = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
-DISPLACEMENT_FIELDS = (*_VECTORS, *_LOCAL, *STRAIN_FIELDS)
+DISPLACEMENT_FIELDS = (*_VECTORS, *_NOISE, *_LOCAL, *STRAIN_FIELDS)
 """Fields of the displacement of a step, when all are asked for."""
 
 
@@ -244,18 +245,20 @@ class ShapeTracker:
 
     def _evaluated(self, cloud: xr.Dataset, appearance: _Appearance | None) -> xr.Dataset:
         """Return the fields to be published: displacement, local components and strain where they are asked for."""
-        arrays = _contiguous(cloud, _VECTORS)
+        arrays = _contiguous(cloud, (*_VECTORS, *_NOISE))
+        # a viewer colours the points with a position: there has to be a value
+        dims, u = arrays["u"]
+        for name in ("x", "y", "z"):
+            arrays[name] = (dims, np.where(np.isfinite(u), arrays[name][1], np.float32(np.nan)))
         if self.parameters.local_frame_window_px:
             moved = cloud[list("xyzuvw")]  # without errors: standard deviations of the components are not published
             arrays |= _contiguous(to_local_frame(moved, window=self.parameters.local_frame_window_px), _LOCAL)
         if self.parameters.strain_window_px:
             slope_noise = appearance.slope_noise if appearance is not None else 1.0
-            strain = surface_strain(cloud, window=self.parameters.strain_window_px, slope_noise=slope_noise)
+            # of the published points, so that a strain computed from a dataset is the same
+            published = cloud.assign({name: arrays[name] for name in ("x", "y", "z")})
+            strain = surface_strain(published, window=self.parameters.strain_window_px, slope_noise=slope_noise)
             arrays |= _contiguous(strain, [name for name in STRAIN_FIELDS if name in strain])
-        # a viewer colours the points with a position: there has to be a value
-        dims, u = arrays["u"]
-        for name in ("x", "y", "z"):
-            arrays[name] = (dims, np.where(np.isfinite(u), arrays[name][1], np.float32(np.nan)))
         return xr.Dataset(arrays, coords=cloud.coords)
 
     def _drift(self, fields: xr.Dataset, reference_step: int) -> MarkerMotion | None:

@@ -149,7 +149,8 @@ class CouplingResult:
         ``x``, ``y``, ``z``, ``sigma_z`` of this step's surface at every camera pixel [m], float32 (row, column).
     displacement
         At the points of the displacement grid, float32 (row, column): ``u``, ``v``, ``w`` with ``sigma_u``,
-        ``sigma_v``, ``sigma_w`` [m], and ``x``, ``y``, ``z`` of the reference surface where they are measured [m]; when
+        ``sigma_v``, ``sigma_w`` [m], ``x``, ``y``, ``z`` of the reference surface where they are measured [m], and the
+        noise of both heights, ``noise_z`` and ``noise_z_deformed`` [m], from which the noise of a strain follows; when
         asked for ``u_t``, ``v_t``, ``w_n`` [m] and ``e_11``, ``e_22``, ``e_12`` [-] with ``sigma_e_11``,
         ``sigma_e_22``, ``sigma_e_12`` [-].
     valid_fraction

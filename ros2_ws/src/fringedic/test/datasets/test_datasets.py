@@ -46,7 +46,7 @@ from fringedic.steps.displacement_tracker import DisplacementTracker, white_text
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import StepSettings
-from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.steps.shape_tracker import STRAIN_FIELDS, ShapeTracker
 from fringedic.virtual_rig import VirtualRig
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
@@ -644,6 +644,22 @@ def test_the_reference_does_not_move(processed):
     first = processed.sel(step=0)
     assert set(np.unique(first.displacement_x.values[np.isfinite(first.displacement_x)])) == {0.0}
     assert processed.reference_step.values.tolist() == [0, 0, 0, 0, 0, -1, 0]
+
+
+def test_the_strain_of_a_dataset_is_that_of_the_run_for_the_same_window(bench, processed, tmp_path):
+    """Maps, standard deviations and points without a strain, of datasets of the desk and of the nodes."""
+    with open_experiment(dataset_from_derived(bench.bag, output=tmp_path / "derived.nc")) as derived:
+        for dataset in (processed, derived):
+            for step in (0, 1, 3, 6):
+                again = dataset.fringedic.strain(window=25, step=step)
+                for name in STRAIN_FIELDS:
+                    expected = dataset[name].sel(step=step).values
+                    assert np.isfinite(expected).mean() > 0.4
+                    np.testing.assert_allclose(again[name].values, expected, rtol=2e-6, atol=1e-12, err_msg=name)
+                assert again.attrs["virtual_strain_gauge_px"] == 24 + 24
+    wider = processed.fringedic.strain(window=41, step=3)
+    assert 0.1 < float((wider.sigma_e_11 / processed.sigma_e_11.sel(step=3)).median()) < 0.6
+    assert wider.attrs["virtual_strain_gauge_px"] == 40 + 24
 
 
 def test_overrides_change_the_results_and_wrong_ones_are_named(bench, processed, tmp_path):
