@@ -99,7 +99,7 @@ class ExperimentAccessor:
         return profile(self._dataset, _list(names), start, end, points=points)
 
     def region(self, names: str | Sequence[str], region: Region) -> xr.Dataset:
-        """Return mean, standard deviation, range and median of maps in a region; see `region_statistics`."""
+        """Return mean with its uncertainty, deviation, range and median in a region; see `region_statistics`."""
         from fringedic.evaluation.probes import region_statistics
 
         return region_statistics(self._dataset, _list(names), region)

@@ -14,8 +14,11 @@ import xarray as xr
 from scipy.ndimage import map_coordinates
 
 from fringedic.datasets.attributes import image_size
+from fringedic.datasets.quantities import sigma_of
 from fringedic.errors import DatasetError
+from fringedic.evaluation.mean_uncertainty import uncertainty_of_mean
 from fringedic.evaluation.motion import motion_of
+from fringedic.evaluation.noise_floor import SIGMAS
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Point, Region
 from fringedic.surface.planes import spacing_of
@@ -23,7 +26,7 @@ from fringedic.wording.arguments import check_arguments, number, of_type, option
 from fringedic.wording.arguments import dataset as dataset_of
 
 MOST_POINTS = 1_000_000  # of a profile
-_STATISTICS = ("mean", "standard_deviation", "minimum", "median", "maximum")
+_STATISTICS = ("mean", "standard_deviation", "minimum", "median", "maximum", "standard_uncertainty")
 
 
 @check_arguments(
@@ -224,7 +227,11 @@ def profile(
 
 @check_arguments(DatasetError, dataset=dataset_of(), names=several(text, least=1), region=of_type(Region))
 def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region) -> xr.Dataset:
-    """Return mean, standard deviation, minimum, median and maximum of maps in a region.
+    """Return mean, standard deviation, minimum, median and maximum of maps in a region, and the mean's uncertainty.
+
+    The standard uncertainty of the mean contains the correlation of neighbouring errors, over the window of the
+    displacement and, of strains, over the virtual strain gauge; see `fringedic.evaluation.mean_uncertainty`. It is NaN
+    for maps without standard deviations.
 
     Parameters
     ----------
@@ -239,8 +246,8 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     -------
     Dataset
         The maps over (step, statistic) with the statistics ``mean``, ``standard_deviation``, ``minimum``, ``median``,
-        ``maximum``; ``measured_fraction`` over (step, map) is the share of the region's points with a value. NaN where
-        nothing is measured.
+        ``maximum``, ``standard_uncertainty``; ``measured_fraction`` over (step, map) is the share of the region's
+        points with a value. NaN where nothing is measured.
 
     Raises
     ------
@@ -261,41 +268,50 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     """
     require_maps(dataset, names)
     inside = points_in(region, dataset)
+    sigmas = [sigma if sigma in dataset else None for sigma in map(_sigma_of, names)]
+    read = [*names, *(sigma for sigma in sigmas if sigma is not None)]
     statistics, measured = [], []
-    for maps in maps_by_step(dataset, names):
-        chosen = [values[inside] for values in maps]
-        chosen = [values[np.isfinite(values)].astype(float) for values in chosen]
-        statistics.append(
-            [
-                (
-                    (np.nan,) * len(_STATISTICS)
-                    if not values.size
-                    else (
-                        float(values.mean()),
-                        float(values.std(ddof=1)) if values.size > 1 else np.nan,
-                        float(values.min()),
-                        float(np.median(values)),
-                        float(values.max()),
-                    )
-                )
-                for values in chosen
-            ]
-        )
-        measured.append([values.size / np.count_nonzero(inside) for values in chosen])
+    for index, maps in enumerate(maps_by_step(dataset, read)):
+        step = dataset.isel(step=index) if "step" in dataset.dims else dataset
+        present = dict(zip(read, maps, strict=True))
+        rows, fractions = [], []
+        for name, sigma in zip(names, sigmas, strict=True):
+            values = present[name][inside]
+            values = values[np.isfinite(values)].astype(float)
+            uncertainty = np.nan
+            if sigma is not None:
+                uncertainty = uncertainty_of_mean(step, name, present[name], present[sigma], inside)
+            rows.append((*_summarise(values), uncertainty))
+            fractions.append(values.size / np.count_nonzero(inside))
+        statistics.append(rows)
+        measured.append(fractions)
     stepwise = "step" in dataset.dims
     table, fraction = np.array(statistics), np.array(measured)
-    step: tuple[str, ...] = ("step",) if stepwise else ()
+    over: tuple[str, ...] = ("step",) if stepwise else ()
     fields: dict[str, object] = {
         name: (
-            (*step, "statistic"),
+            (*over, "statistic"),
             table[:, place] if stepwise else table[0, place],
             dict(dataset[name].attrs),
         )
         for place, name in enumerate(names)
     }
-    fields["measured_fraction"] = ((*step, "map"), fraction if stepwise else fraction[0], {"units": "1"})
+    fields["measured_fraction"] = ((*over, "map"), fraction if stepwise else fraction[0], {"units": "1"})
     coordinates = {"statistic": list(_STATISTICS), "map": list(names)}
     return xr.Dataset(fields, {**coordinates, "step": dataset.step} if stepwise else coordinates)
+
+
+def _sigma_of(name: str) -> str | None:
+    """Return the map with the standard deviations of a map, also of one of images; None when there is none."""
+    return SIGMAS.get(name) or sigma_of(name)
+
+
+def _summarise(values: np.ndarray) -> tuple[float, float, float, float, float]:
+    """Return mean, standard deviation, minimum, median and maximum; NaN where they are not defined."""
+    if not values.size:
+        return (np.nan,) * 5
+    deviation = float(values.std(ddof=1)) if values.size > 1 else np.nan
+    return float(values.mean()), deviation, float(values.min()), float(np.median(values)), float(values.max())
 
 
 def points_in(region: Region, dataset: xr.Dataset) -> np.ndarray:

@@ -21,7 +21,7 @@ from fringedic.wording.numbers import number_text
 
 MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
-REGION_STATISTICS = ("mean", "standard_deviation", "minimum", "maximum")
+REGION_STATISTICS = ("mean", "standard_uncertainty", "standard_deviation", "minimum", "maximum")
 _STEP_VALUES = (  # after the signals; factor 0: in the unit of people
     ("valid_fraction", "measured [%]", 0.01),
     ("confirmed_fraction", "confirmed [%]", 0.01),
@@ -111,7 +111,7 @@ def _gauge_cells(gauge: xr.Dataset) -> list[str]:
 
 
 def region_rows(dataset: xr.Dataset, regions: Mapping[str, Region]) -> list[list[str]]:
-    """Return a row per region and quantity of the last step: mean, standard deviation, least and largest value."""
+    """Return a row per region and quantity of the last step: mean with its standard uncertainty, deviation, range."""
     present = [name for name in REGION_MAPS if name in dataset]
     rows = []
     for title, region in regions.items():
