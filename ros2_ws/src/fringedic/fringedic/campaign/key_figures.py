@@ -13,7 +13,7 @@ from fringedic.evaluation.elasticity import ElasticConstants
 from fringedic.evaluation.noise_floor import noise_floors, static_steps
 
 _STRAINS = ("e_11", "e_22")
-_ELASTIC = ("modulus", "sigma_modulus", "poisson_ratio", "sigma_poisson_ratio")
+_ELASTIC = ("modulus", "sigma_modulus", "poisson_ratio", "sigma_poisson_ratio", "nonuniformity")
 _NOISE = ("u", "v", "w", *_STRAINS)
 
 
@@ -34,8 +34,9 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         and the mean ``valid_fraction``; ``largest_force`` by its magnitude [N]; ``largest_strain``, the largest
         magnitude of e_11 and e_22 at any point, with ``sigma_largest_strain`` there and ``largest_strain_step``;
         ``axial_strain``, the name of the strain along the load; ``modulus`` [Pa] and ``poisson_ratio`` with
-        ``sigma_modulus`` and ``sigma_poisson_ratio``; ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation
-        over the points of the steps at rest.
+        ``sigma_modulus`` and ``sigma_poisson_ratio``, ``nonuniformity`` and ``elastic_reason``, why they are not known,
+        as of `ElasticConstants`; ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation over the points of
+        the steps at rest.
     """
     specimen = recorded_metadata(dataset).specimen
     floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
@@ -66,6 +67,7 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         "sigma_largest_strain": sigma,
         "largest_strain_step": step,
         "axial_strain": constants.axial,
+        "elastic_reason": constants.reason,
         **{name: getattr(constants, name) for name in _ELASTIC},
         **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
     }

@@ -9,7 +9,7 @@ and standard errors of the best straight line. American Journal of Physics 72, 3
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,8 +19,8 @@ import xarray as xr
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.datasets.signals import knows_sigma, sigma_name
 from fringedic.errors import DatasetError
-from fringedic.evaluation.correlated import correlated_points
 from fringedic.evaluation.force import force_curve
+from fringedic.evaluation.mean_uncertainty import spread_beyond_noise, uncertainty_of_mean
 from fringedic.evaluation.probes import points_in
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Region
@@ -34,6 +34,10 @@ _FEWEST_STEPS = 3  # a straight line with an uncertainty from its residuals need
 _CONVERGED = 1e-12  # the slope has converged when its relative change is smaller
 _SMALLEST = 1e-12  # noise of a strain, so that results without noise have a weight
 _ITERATIONS = 100
+# Largest standard deviation of a strain over the region, over its mean: constants of two places then differ by less
+# than about a half. The strain of the virtual plate scatters by 0.006, of the skin by 0.4, of the folded leather by 3.
+_MOST_SPREAD = 0.2
+_LEAST_RATIO = 0.25  # of the mean transverse strain over the axial one, where it is small: Poisson's ratio may be 0
 _EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
 
 
@@ -42,9 +46,8 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None, *, load: str
     """Return the mean strain of a region over the steps, with the standard uncertainty of the mean.
 
     Neighbouring points share their noise, so that the mean of n points is less certain than a standard deviation over
-    the root of n. The correlation is estimated from the map itself, as its deviation from a plane: a strain that is not
-    linear in the region counts as correlated noise, and the uncertainty is then too large rather than too small.
-    Systematic errors, such as those of the calibration, are not contained.
+    the root of n; see `fringedic.evaluation.mean_uncertainty`. Systematic errors, such as those of the calibration, are
+    not contained.
 
     Parameters
     ----------
@@ -58,8 +61,10 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None, *, load: str
     Returns
     -------
     Dataset
-        Over ``step``: ``e_11``, ``e_22``, ``sigma_e_11``, ``sigma_e_22`` [1], and ``force`` [N] and ``stress`` [Pa] as
-        of `force_curve` and ``reference_step`` where they are known. NaN for a step without a result in the region.
+        Over ``step``: ``e_11``, ``e_22``, ``sigma_e_11``, ``sigma_e_22`` [1], ``spread_e_11``, ``spread_e_22`` [1], the
+        standard deviation over the region that noise does not explain, 0 where it does (chi-squared test with 0.1 % of
+        false alarms), and ``force`` [N] and ``stress`` [Pa] as of `force_curve` and ``reference_step`` where they are
+        known. NaN for a step without a result in the region.
 
     Raises
     ------
@@ -84,15 +89,16 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None, *, load: str
     inside = np.ones((dataset.sizes["row"], dataset.sizes["column"]), bool)
     if region is not None:
         inside = points_in(region, dataset)
-    readings = np.array([_means(maps[:2], maps[2:], inside) for maps in maps_by_step(dataset, names)])
-    quantities = {name: StepValues(readings[:, k], "1", f"mean of {name}") for k, name in enumerate(_STRAINS)}
-    quantities |= {
-        name: StepValues(readings[:, 2 + k], "1", f"standard uncertainty of the mean of {_STRAINS[k]}")
-        for k, name in enumerate(_SIGMAS)
+    readings = np.array([_readings(step, maps, inside) for step, maps in _steps(dataset, names)])
+    meanings = ("mean of {}", "standard uncertainty of the mean of {}", "standard deviation of {} beyond its noise")
+    quantities = {
+        f"{prefix}{name}": StepValues(readings[:, place, k], "1", meaning.format(name))
+        for place, (prefix, meaning) in enumerate(zip(("", "sigma_", "spread_"), meanings, strict=True))
+        for k, name in enumerate(_STRAINS)
     }
     curve = values_by_step(dataset, quantities)
     if load in dataset or load != FORCE.name:
-        loads = force_curve(dataset, readings[:, 0], load=load)
+        loads = force_curve(dataset, readings[:, 0, 0], load=load)
         curve = curve.assign({name: loads[name] for name in ("force", "stress") if name in loads})
     if knows_sigma(dataset, load):
         curve = curve.assign(force_sigma=dataset[sigma_name(load)].variable)
@@ -117,6 +123,11 @@ class ElasticConstants:
         Negative slope of the transverse over the axial strain with its standard uncertainty [1].
     reference_step
         Step that the strain of the regression is relative to; -1 if the dataset does not state it.
+    nonuniformity
+        Standard deviation of a strain over the region, without noise, over its mean, at the step with the largest axial
+        strain; that of the axial or of the transverse strain, the larger one.
+    reason
+        Why constants are not known; empty if they are.
     """
 
     axial: str
@@ -126,6 +137,8 @@ class ElasticConstants:
     poisson_ratio: float = math.nan
     sigma_poisson_ratio: float = math.nan
     reference_step: int = -1
+    nonuniformity: float = math.nan
+    reason: str = ""
 
 
 @check_arguments(
@@ -150,6 +163,11 @@ def elastic_constants(
     preload. The standard uncertainty contains the noise of strain and force; where the points scatter more than that,
     it is increased to their scatter (Birge ratio). It does not contain the scale errors of calibration, load cell and
     section, which are those of the slope.
+
+    A strain that is not uniform gives no constant of the material: the result depends on the region. The constants are
+    NaN, with the reason, where the standard deviation of a strain over the region exceeds its noise significantly
+    (0.1 % of false alarms) and a fifth of its mean, at the step with the largest axial strain. A transverse strain
+    below a quarter of the axial one counts as a quarter. A modulus needs a uniform axial strain only.
 
     The strain starts again at 0 where the reference step changes, and the force does not. The regression therefore uses
     the steps of one reference: that of most steps in the range of strain, the first one if several have as many.
@@ -196,11 +214,24 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
         points = points.isel(step=np.flatnonzero(points["reference_step"].values == reference))
     steps = points.sizes["step"]
     if steps < _FEWEST_STEPS:
-        return ElasticConstants(axial, steps, reference_step=reference)
-    along, across = (_Axis(points[name].values, _noise(points, name)) for name in (axial, transverse))
-    ratio, sigma_ratio = _slope(along, across)
+        reason = f"{steps} steps are in the range of strain, {_FEWEST_STEPS} are needed"
+        return ElasticConstants(axial, steps, reference_step=reference, reason=reason)
+    last = points.isel(step=int(np.argmax(np.abs(points[axial].values))))
+    along, across = (abs(float(last[name])) for name in (axial, transverse))
+    scales = {axial: along, transverse: max(across, _LEAST_RATIO * along)}
+    spreads = {name: float(last[f"spread_{name}"]) / max(scale, _SMALLEST) for name, scale in scales.items()}
+    reasons = [
+        f"{name} is not uniform in the region: its standard deviation is {spread:.2g} of its mean, at most "
+        f"{_MOST_SPREAD:g} is allowed; choose a region with a uniform strain"
+        for name, spread in spreads.items()
+        if spread > _MOST_SPREAD
+    ]
+    x, y = (_Axis(points[name].values, _noise(points, name)) for name in (axial, transverse))
+    ratio, sigma_ratio = (math.nan, math.nan) if reasons else _slope(x, y)
     modulus, sigma_modulus = math.nan, math.nan
-    if "stress" in points and np.isfinite(points["stress"]).all():
+    if "stress" not in points or not np.isfinite(points["stress"]).all():
+        reasons.append("the stress is not known at all steps: it needs a force and section_mm2 of the specimen")
+    elif spreads[axial] <= _MOST_SPREAD:
         force, stress = points["force"].values, points["stress"].values
         scale = float(np.ptp(stress) / np.ptp(force)) if np.ptp(force) else math.nan
         if "force_sigma" not in points:
@@ -208,8 +239,18 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
         else:
             known = points["force_sigma"].values
             force_noise = np.where(np.isfinite(known), np.hypot(sigma_force, known), sigma_force)
-        modulus, sigma_modulus = _slope(along, _Axis(stress, scale * force_noise))
-    return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio, reference)
+        modulus, sigma_modulus = _slope(x, _Axis(stress, scale * force_noise))
+    return ElasticConstants(
+        axial,
+        steps,
+        modulus,
+        sigma_modulus,
+        -ratio,
+        sigma_ratio,
+        reference,
+        max(spreads.values()),
+        "; ".join(reasons),
+    )
 
 
 class _Axis(NamedTuple):
@@ -219,25 +260,22 @@ class _Axis(NamedTuple):
     sigmas: np.ndarray
 
 
-def _means(strains: np.ndarray, sigmas: np.ndarray, inside: np.ndarray) -> list[float]:
-    """Return the mean of each map over a region, and then their standard uncertainties."""
-    means, uncertainties = [], []
-    for strain, sigma in zip(strains, sigmas, strict=True):
-        measured = inside & np.isfinite(strain) & np.isfinite(sigma)
-        count = np.count_nonzero(measured)
-        if not count:
-            means.append(np.nan)
-            uncertainties.append(np.nan)
-            continue
-        row, column = np.nonzero(measured)
-        design = np.column_stack([np.ones(row.size), row, column]).astype(float)
-        known = strain[measured].astype(float)
-        rest = np.full(strain.shape, np.nan)
-        rest[measured] = known - design @ np.linalg.lstsq(design, known, rcond=None)[0]
-        together = min(correlated_points(rest), count)
-        means.append(float(strain[measured].mean(dtype=float)))
-        uncertainties.append(float(np.sqrt(np.mean(sigma[measured].astype(float) ** 2) * together / count)))
-    return means + uncertainties
+def _steps(dataset: xr.Dataset, names: Sequence[str]) -> Iterator[tuple[xr.Dataset, np.ndarray]]:
+    """Iterate over the steps and their maps, shape (map, row, column)."""
+    for index, maps in enumerate(maps_by_step(dataset, names)):
+        yield dataset.isel(step=index) if "step" in dataset.dims else dataset, maps
+
+
+def _readings(step: xr.Dataset, maps: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return means, their standard uncertainties, and spreads of both strains, shape (3, strain)."""
+    found = np.full((3, len(_STRAINS)), np.nan)
+    for place, (name, values, sigma) in enumerate(zip(_STRAINS, maps[:2], maps[2:], strict=True)):
+        measured = inside & np.isfinite(values) & np.isfinite(sigma)
+        if measured.any():
+            found[0, place] = values[measured].mean(dtype=float)
+            found[1, place] = uncertainty_of_mean(step, name, values, sigma, inside)
+            found[2, place] = spread_beyond_noise(step, name, values, sigma, inside, found[1, place])
+    return found
 
 
 def _noise(curve: xr.Dataset, name: str) -> np.ndarray:

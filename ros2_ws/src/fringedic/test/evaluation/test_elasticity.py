@@ -12,11 +12,14 @@ from scipy.ndimage import gaussian_filter
 from fringedic.errors import DatasetError
 from fringedic.evaluation import elastic_constants, strain_curve
 from fringedic.frames.region import Region
+from fringedic.surface import surface_strain
+from fringedic.virtual_rig import VirtualRig
 
 MODULUS, RATIO, SECTION = 3e9, 0.35, 20e-6
 NOISE, SIGMA_FORCE = 1e-4, 2.0
 AXIAL = np.linspace(0, 3e-3, 7)
 SHAPE = (30, 40)
+MAP = ("row", "column")
 
 
 def noise(generator: np.random.Generator, correlation: float) -> np.ndarray:
@@ -110,9 +113,42 @@ def test_a_region_and_a_step_without_result() -> None:
     assert (found.steps, abs(found.poisson_ratio - RATIO) < 0.02) == (6, True)
 
 
+def test_a_strain_that_is_not_uniform_gives_no_constants() -> None:
+    """Folded leather that flattens is no specimen in uniaxial stress; a uniform one whose material scatters is."""
+    rig = VirtualRig.from_preset("leather", size="tiny")
+    strains = []
+    for position in np.linspace(0.1, 0.5, 4) * rig.maximum_position:
+        truth = rig.truth(position)
+        strains.append(surface_strain(truth.assign_coords({n: range(truth.sizes[n]) for n in MAP}), window=25))
+    leather = xr.concat(strains, "step").assign_coords(step=range(4))
+    leather = leather.assign({f"sigma_{name}": 1e-5 + 0 * leather[name] for name in ("e_11", "e_22")})
+    found = elastic_constants(leather)
+    assert np.isnan([found.modulus, found.sigma_modulus, found.poisson_ratio, found.sigma_poisson_ratio]).all()
+    assert found.nonuniformity > 1
+    assert f"{found.axial} is not uniform in the region: its standard deviation is" in found.reason
+
+    scattered = plate(1)
+    local = 1 + 0.1 * np.random.default_rng(1).normal(size=SHAPE)
+    for name in ("e_11", "e_22"):
+        scattered[name] = scattered[name] * xr.Variable(MAP, local)
+    found = elastic_constants(scattered)
+    assert found.nonuniformity == pytest.approx(0.1, abs=0.02)
+    assert (abs(found.poisson_ratio - RATIO) < 0.02, found.reason) == (True, "")
+
+    transverse = plate(1)
+    transverse["e_11"] = transverse["e_11"] * xr.Variable(MAP[1:], np.linspace(0, 2, SHAPE[1]))
+    found = elastic_constants(transverse)
+    assert (np.isnan(found.poisson_ratio), round(found.nonuniformity, 1)) == (True, 0.6)
+    assert abs(found.modulus / MODULUS - 1) < 0.05, "it depends on the axial strain alone"
+    assert found.reason.startswith("e_11 is not uniform in the region")
+
+
 def test_constants_that_are_not_known() -> None:
     dataset = plate(1)
-    assert np.isnan(elastic_constants(dataset.drop_vars("force")).modulus)
+    without = elastic_constants(dataset.drop_vars("force"))
+    assert np.isnan(without.modulus)
+    assert without.reason.startswith("the stress is not known at all steps")
+    assert elastic_constants(dataset.isel(step=[0, 3])).reason == "2 steps are in the range of strain, 3 are needed"
     assert elastic_constants(dataset).reference_step == -1, "the dataset does not name it"
     assert np.isnan(elastic_constants(dataset.isel(step=[0, 3])).poisson_ratio)
     with pytest.raises(DatasetError, match="no point of the result lies in the region"):
