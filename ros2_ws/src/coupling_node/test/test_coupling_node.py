@@ -265,7 +265,7 @@ def test_fields_that_nobody_asks_for_are_left_out(bench: CouplingBench, name: st
         tracker = tracker_of(bench, **changed)
         bench.send_step(name, 0)
         result = expected(bench, tracker, name, 0)
-        assert list(result.displacement) == FIELDS[:9]
+        assert list(result.displacement) == FIELDS[:11]
         bench.assert_identical(result)
     finally:
         bench.change(**{each: getattr(CouplingParameters(), each) for each in changed})

@@ -112,9 +112,9 @@ def _slope_noise(cloud: xr.Dataset, window: int) -> float:
     """Return the slope noise of the texture, see `surface_strain`, from the standard deviations that the run stated.
 
     Their squares are a sum of the noise of the heights and of that of the displacement, which alone is multiplied by
-    the slope noise. 1 where no strain was measured.
+    the slope noise. 1 where no strain was measured, or where the noise of the heights is not known.
     """
-    if not window or not all(name in cloud for name in _SIGMAS):
+    if not window or not all(name in cloud for name in (*_NOISE, *_SIGMAS)):
         return 1.0
     heights, both = (
         surface_strain(cloud, window=window, slope_noise=slope_noise)[_SIGMAS].to_array().to_numpy().astype(float) ** 2
