@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.datasets.signals import signal_names
+from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import StepValues, values_by_step
 from fringedic.signals import FORCE
@@ -54,7 +54,8 @@ def force_curve(
     -------
     Dataset
         Over ``step``: ``strain``, ``force`` [N] and, with a section, ``stress`` [Pa], the force over the section in the
-        reference.
+        reference; where that of the sensor is known, with the standard uncertainties ``force_sigma``, ``stress_sigma``,
+        which do not contain the section.
 
     Raises
     ------
@@ -84,8 +85,13 @@ def force_curve(
     section = _recorded_section(dataset) if section is None else section
     force = sign * (dataset[load].values.astype(float) - tare)
     curve = {"strain": StepValues(values, "1", "strain"), "force": StepValues(force, "N", "force")}
+    sigma = dataset[sigma_name(load)].values.astype(float) if knows_sigma(dataset, load) else None
+    if sigma is not None:
+        curve["force_sigma"] = StepValues(sigma, "N", "standard uncertainty of force")
     if section is not None:
         curve["stress"] = StepValues(force / section, "Pa", "force over the reference section")
+    if section is not None and sigma is not None:
+        curve["stress_sigma"] = StepValues(sigma / section, "Pa", "standard uncertainty of stress")
     return values_by_step(dataset, curve)
 
 

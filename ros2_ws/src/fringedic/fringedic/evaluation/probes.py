@@ -170,8 +170,9 @@ def profile(
     Returns
     -------
     Dataset
-        The maps over (step, position), float32. ``position`` is the distance from the start [px], ``row`` and
-        ``column`` are the pixel positions. Values are interpolated bilinearly, NaN beside points without a value.
+        The maps and their standard deviations over (step, position), float32. ``position`` is the distance from the
+        start [px], ``row`` and ``column`` are the pixel positions. Values are interpolated bilinearly, NaN beside
+        points without a value.
 
     Raises
     ------
@@ -188,6 +189,8 @@ def profile(
     [0.0, 0.5, 1.0, 1.5, 2.0]
     """
     require_maps(dataset, names)
+    sigmas = (_sigma_of(name) for name in names)
+    names = list(dict.fromkeys([*names, *(sigma for sigma in sigmas if sigma is not None and sigma in dataset)]))
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     if not length > 0:
         raise DatasetError(f"the line from {start} to {end} px (column, row) has no length; give two different points")

@@ -80,6 +80,8 @@ def test_profile_follows_a_line() -> None:
     line = profile(dataset, ["x", "u"], (6, 10), (126, 70), points=61)
     assert line.u.dims == ("step", "position")
     assert line.u.units == "m"
+    assert list(line) == ["x", "u", "sigma_u"]
+    np.testing.assert_allclose(line.sigma_u, SIGMA, rtol=1e-6)
     assert float(line.position[-1]) == pytest.approx(np.hypot(60, 120))
     assert np.allclose(line.x[0], 1e-4 * (line.column - 80), atol=1e-9)
     dataset["u"][1, 10, 16] = np.nan
@@ -185,6 +187,10 @@ def test_force_and_stress_against_strain() -> None:
     assert curve.force.values.tolist() == [0.0, 20.0, 40.0]
     assert np.allclose(curve.stress, [0.0, 2e6, 4e6]), "recorded section of 10 mm2"
     assert np.allclose(force_curve(dataset, strain, section=5e-6, sign=-1).stress, [-1e6, -5e6, -9e6])
+    assert "force_sigma" not in curve, "the sensor states none"
+    stated = force_curve(dataset.assign(force_sigma=("step", [0.1, 0.2, 0.3])), strain)
+    assert stated.force_sigma.values.tolist() == [0.1, 0.2, 0.3]
+    np.testing.assert_allclose(stated.stress_sigma, [1e4, 2e4, 3e4])
     del dataset.attrs["facts"]
     assert "stress" not in force_curve(dataset, strain)
     for wrong, words in (
