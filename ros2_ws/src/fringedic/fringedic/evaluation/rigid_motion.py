@@ -38,7 +38,9 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
         ``rotation`` (rotation vector [rad]) and ``translation`` [m] over (step, axis): a reference point X moved to
         rotation X + translation, plus the remaining displacement turned by the rotation. Of images alone it contains
         the remaining ``displacement_x``, ``displacement_y`` [px]; the motion is that of the image with x to the right
-        and y upwards from its middle (from its first pixel if its size is not known), in px without a scale.
+        and y upwards from its middle (from its first pixel if its size is not known), in px without a scale. The
+        standard deviations of the displacement, where there are any, are turned with it, without its covariances; they
+        do not contain the uncertainty of the fitted motion, which is small beside theirs if the region has many points.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     """
     motion = motion_of(dataset)
     inside = None if region is None else points_in(region, dataset)
-    remaining, rotations, translations = [], [], []
+    remaining, uncertain, rotations, translations = [], [], [], []
     for maps in motion.by_step():
         before = maps[:3].astype(float)
         after = before + maps[3:6]
@@ -80,6 +82,9 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
         # in the orientation of the reference, so that the rest can be compared with it
         back = np.tensordot(rotation.T, after - translation[:, None, None], 1)
         remaining.append((back - before).astype(np.float32))
+        if motion.sigmas:
+            turned = np.tensordot(rotation.T**2, maps[6:].astype(float) ** 2, 1)
+            uncertain.append(np.sqrt(turned).astype(np.float32))
         rotations.append(Rotation.from_matrix(rotation).as_rotvec())
         translations.append(translation)
     left = np.array(remaining)
@@ -94,6 +99,10 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     shape = tuple(dataset[next(iter(moved))].dims)
     for name, values in moved.items():
         fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
+    if motion.sigmas:
+        for name, sigma in zip(motion.sigmas, np.array(uncertain).swapaxes(0, 1), strict=False):
+            values = sigma / motion.scale
+            fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
     axes = ("step", "axis") if stepwise else ("axis",)
     for name, unit, table in (("rotation", "rad", rotations), ("translation", motion.unit, translations)):
         fields[name] = (axes, table if stepwise else table[0], {"units": unit})

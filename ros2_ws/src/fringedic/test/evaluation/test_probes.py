@@ -170,6 +170,14 @@ def test_rigid_motion_is_removed_and_told() -> None:
         assert wrong < 5e-9
         assert np.abs(found.v).max() < 5e-9
         assert np.allclose(found.rotation, step * TURN.as_rotvec(), atol=1e-6)
+    np.testing.assert_allclose(still[["sigma_u", "sigma_v", "sigma_w"]].to_array(), SIGMA, rtol=1e-6)
+    # a quarter turn about z: the error along y before is that along x
+    turn = {"u": -dataset.y - dataset.x, "v": dataset.x - dataset.y, "w": 0 * dataset.w}
+    quarter = dataset.assign(turn).assign(sigma_v=3 * dataset.sigma_v)
+    turned = remove_rigid_motion(quarter)
+    np.testing.assert_allclose(turned.u, 0, atol=1e-8)
+    np.testing.assert_allclose(turned.sigma_u, 3 * SIGMA, rtol=1e-6)
+    np.testing.assert_allclose(turned.sigma_v, SIGMA, rtol=1e-6)
     # the centroid stays where it was in the reference
     assert abs(float(still.u[2].mean())) < 1e-9
     clamped = remove_rigid_motion(dataset, Region.rectangle((0, 0), (40, 92)))

@@ -97,6 +97,7 @@ def test_extensometer_and_rigid_motion_need_no_shape(dataset):
     rest = dataset.fringedic.remove_rigid_motion()
     assert abs(float(rest.displacement_x.sel(step=3).mean())) < 1e-3
     assert float(rest.translation.sel(step=3, axis="x")) == pytest.approx(float(dataset.u.sel(step=3).mean()), rel=0.02)
+    np.testing.assert_allclose(rest.displacement_sigma_x, dataset.displacement_sigma_x, rtol=1e-4)
     again = dataset.fringedic.strain(41)
     for name in ("e_xx", "e_yy", "e_xy", "sigma_e_xx", "sigma_e_yy", "sigma_e_xy"):
         np.testing.assert_allclose(again[name], dataset[name].sel(step=3), rtol=2e-6, atol=1e-12)
