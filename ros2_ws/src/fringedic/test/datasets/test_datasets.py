@@ -32,6 +32,7 @@ from fringedic.errors import ConfigurationError, DatasetError, RecordingError
 from fringedic.evaluation import compare_with_truth, truth_errors
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord, stamp_of
+from fringedic.frames.region import Region
 from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
@@ -47,6 +48,7 @@ from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseP
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.shape_tracker import STRAIN_FIELDS, ShapeTracker
+from fringedic.surface import surface_strain
 from fringedic.virtual_rig import VirtualRig
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
@@ -660,6 +662,22 @@ def test_the_strain_of_a_dataset_is_that_of_the_run_for_the_same_window(bench, p
     wider = processed.fringedic.strain(window=41, step=3)
     assert 0.1 < float((wider.sigma_e_11 / processed.sigma_e_11.sel(step=3)).median()) < 0.6
     assert wider.attrs["virtual_strain_gauge_px"] == 40 + 24
+
+
+def test_means_of_the_strain_agree_with_the_truth_within_their_uncertainty(bench, processed):
+    """Means over the whole plate and its halves, at three loads; their root mean square z-score is about 1."""
+    scores = []
+    for step, position in ((1, POSITIONS[1]), (2, POSITIONS[2]), (3, POSITIONS[3])):
+        measured = processed.sel(step=step).load()
+        truth = bench.rig.truth(position).isel(row=slice(None, None, SPACING), column=slice(None, None, SPACING))
+        truth = truth[list("xyzuvw")].assign_coords(row=measured.row, column=measured.column)
+        exact = surface_strain(truth.where(np.isfinite(measured.u)), window=25)
+        names = ["e_11", "e_22", "e_12"]
+        error = measured.assign({name: measured[name] - exact[name] for name in names})
+        for first, last in (((0, 0), (159, 119)), ((0, 0), (79, 119)), ((80, 0), (159, 119))):
+            table = error.fringedic.region(names, Region.rectangle(first, last))[names].to_array()
+            scores += (table.sel(statistic="mean") / table.sel(statistic="standard_uncertainty")).values.tolist()
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5, np.round(scores, 1)
 
 
 def test_overrides_change_the_results_and_wrong_ones_are_named(bench, processed, tmp_path):
