@@ -120,6 +120,20 @@ _WORDS: dict[FindingKind, Callable[[Finding], str]] = {
         f"the light changes by {finding.light_change:.1%} between the frames (flicker), which causes a phase error of "
         f"{finding.value:.4f} fringe"
     ).replace("%", " %", 1),
+    FindingKind.UNEVEN_LIGHT: lambda finding: (
+        f"the light changes by {finding.light_change:.1%} between the frames, from row to row differently, as "
+        f"flickering light does with a rolling shutter, which causes a phase error of {finding.value:.4f} fringe: "
+        "expose for whole periods of the light"
+    ).replace("%", " %", 1),
+    FindingKind.ROOM_LIGHT: lambda finding: (
+        f"the light of the room changes by {finding.light_change:.1%} between the frames, which causes a phase error "
+        f"of {finding.value:.4f} fringe"
+    ).replace("%", " %", 1),
+    FindingKind.DISPLACED_FRAME: lambda finding: (
+        f"the fringes of frame {finding.frames[0]} are displaced against those of the other frames "
+        f"({finding.patterns[0]}), by {finding.value:.4f} fringe RMS over all frames: it shows another shift than "
+        "recorded, or the surface moved and came back"
+    ),
     FindingKind.MOTION_ACROSS: lambda finding: (
         f"the surface moved by {finding.value:.2f} px across the image while its frames were taken"
     ),
