@@ -68,6 +68,13 @@ class FringeImageDescription(Section):
     correct_harmonics: bool = Field(
         False, description="Correct the error of each pitch that a nonlinear response causes."
     )
+    maximum_error_fringe: float = Field(
+        0.003,
+        gt=0,
+        le=1,
+        description="Refuse images when flicker that cannot be fitted, or motion along the light, causes a larger RMS "
+        "phase error [fringe].",
+    )
     saturation: int | None = Field(None, ge=1, description="Grey level of a saturated pixel; full scale if left out.")
 
     @classmethod

@@ -16,13 +16,17 @@ from fringedic.frames.files import read_grey
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.phase.beats import combine_beats
+from fringedic.phase.checks.flicker_and_motion import LIGHT
+from fringedic.phase.checks.gains import Gains
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import Sample, half_periods
-from fringedic.phase.checks.stack import inspect_stack
+from fringedic.phase.checks.stack import find_gains, inspect_stack
 from fringedic.phase.demodulation import absolute_phase
+from fringedic.phase.demodulation_kernel import add_gain_variance
+from fringedic.phase.findings import Finding
 from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
 from fringedic.phase.harmonic_correction import fit_harmonic_error
-from fringedic.phase.layout import layout_of, nearly_alike, unambiguous_range
+from fringedic.phase.layout import layout_of, nearly_alike, shift_angles, unambiguous_range
 from fringedic.phase.sentences import describe
 from fringedic.phase.settings import PhaseSettings
 
@@ -48,7 +52,8 @@ class _Wave:
 def measure_phase_images(folder: Path, description: FringeImageDescription) -> xr.Dataset:
     """Measure the phase from the images of a folder.
 
-    The frames are checked as those of a step. Every pitch is demodulated (eq. 11). The order of the coarsest fringes is
+    The frames are checked as those of a step. Where flickering light makes frames brighter or darker, their gains are
+    fitted; sigma contains their uncertainty. Every pitch is demodulated (eq. 11). The order of the coarsest fringes is
     known where one of them covers the projector's image, or from the Gray code; where its blocks are too wide for the
     coarsest fringes, the beat of the two coarsest pitches is the coarsest wave (heterodyne). Otherwise the phase is
     unwrapped over the image and relative.
@@ -67,9 +72,11 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         ``coordinate``, the column or row of the projector [projector px]; ``modulation``, ``texture`` [grey level];
         ``valid``; from two pitches on ``closure``, the phase of the next coarser pitch minus that of the finest one
         [rad at the coarser pitch] in units of its standard deviation; with a Gray code ``other_block``, where the code
-        gives another block than the fringes, more than 5 % of a block away from its edges. The phase has the attribute
-        ``relative``; attributes of the dataset are ``direction``, ``pitch_px`` of the finest fringes, their
-        ``harmonic_error`` [fringe] before a correction, and ``harmonics_corrected``.
+        gives another block than the fringes, more than 5 % of a block away from its edges; ``gain`` of each frame (its
+        image) with ``gain_sigma``, 1 and 0 without flicker. The phase has the attribute ``relative``; attributes of the
+        dataset are ``direction``, ``pitch_px`` of the finest fringes, their ``harmonic_error`` [fringe] before a
+        correction, ``harmonics_corrected``, the range of the light over the frames of a pitch ``light_change``, and the
+        RMS error of the phase [fringe] by uncertain gains ``light_error``.
 
     Raises
     ------
@@ -89,17 +96,19 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     names = [name for each in entries for name in each.images]
     frames = _read(folder, names)
     patterns = [each for entry in entries for each in entry.patterns(description.orientation)]
-    settings = PhaseSettings(saturation=description.saturation)
-    for found in inspect_stack(frames, patterns, settings):
-        if found.fault:
-            images = ", ".join(names[frame] for frame in found.frames[:2]) or "the images"
-            turned = _turned_pitches(frames, patterns, settings)
-            advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
-            raise StepError(f"{images}: {describe(found)}{advice}", code=found.kind.code)
-    noise = estimate_sample_noise(Sample.from_stack(frames, layout_of(patterns)))
+    settings = PhaseSettings(saturation=description.saturation, largest_error=description.maximum_error_fringe)
+    gains = find_gains(frames, patterns, settings)
+    fault = _find_fault(frames, patterns, settings, gains)
+    if fault is not None:
+        images = ", ".join(names[frame] for frame in fault.frames[:2]) or "the images"
+        turned = _turned_pitches(frames, patterns, settings)
+        advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
+        raise StepError(f"{images}: {describe(fault)}{advice}", code=fault.kind.code)
+    layout = layout_of(patterns)
+    noise = estimate_sample_noise(Sample.from_stack(frames, layout).with_light(gains.values))
     waves, maps = [], []
-    for entry, where in zip(entries, layout_of(patterns).slices(), strict=True):
-        measured = _measure_pitch(frames[where], patterns[where], noise, description)
+    for entry, where, covariance in zip(entries, layout.slices(), gains.covariance, strict=True):
+        measured = _measure_pitch(frames[where], patterns[where], noise, description, (gains.values[where], covariance))
         maps.append(measured)
         origin = TURN * description.origin / entry.pitch_px
         waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
@@ -138,11 +147,15 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         place = coordinate / description.gray_code.block_px
         clear = np.abs(place - np.round(place)) > _BLOCK_EDGE
         result["other_block"] = (image, inside & clear & (np.floor(place) != blocks))
+    deviation = np.sqrt(np.concatenate([np.diagonal(each) for each in gains.covariance]))
+    result = result.assign(gain=("frame", gains.values), gain_sigma=("frame", deviation)).assign_coords(frame=names)
     result.attrs = {
         "direction": description.direction,
         "pitch_px": finest.period,
         "harmonic_error": measured.phase.attrs["harmonic_error"],
         "harmonics_corrected": int(description.correct_harmonics),
+        "light_change": gains.finding.light_change if gains.finding else 0.0,
+        "light_error": gains.finding.value if gains.finding else 0.0,
     }
     return result
 
@@ -158,6 +171,22 @@ def _read(folder: Path, names: list[str]) -> np.ndarray:
     return np.array(images)
 
 
+def _find_fault(
+    frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings, gains: Gains
+) -> Finding | None:
+    """Return the fault that the fitted gains leave; by the name that it has without them unless that is the light."""
+
+    def inspect(values: np.ndarray | None) -> Finding | None:
+        return next((each for each in inspect_stack(frames, patterns, settings, gains=values) if each.fault), None)
+
+    left = inspect(gains.values)
+    if left is not None and gains.covers_flicker:  # of four frames, gains explain a part of other faults, too
+        plain = inspect(None)
+        left = left if plain is None or plain.kind in LIGHT else plain
+    undetermined = gains.finding is not None and gains.finding.fault
+    return gains.finding if undetermined and (left is None or left.kind in LIGHT) else left
+
+
 def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings) -> str:
     """Return the pitches [projector px] whose shifts run the other way, empty where this explains no fault."""
     slices = layout_of(patterns).slices()
@@ -165,22 +194,32 @@ def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settin
         turned = list(patterns)
         for where in chosen:
             turned[where] = patterns[where][::-1]
-        if not any(each.fault for each in inspect_stack(frames, turned, settings)):
+        gains = find_gains(frames, turned, settings)
+        if not any(each.fault for each in inspect_stack(frames, turned, settings, gains=gains.values)):
             return " and ".join(f"{patterns[where.start].pitch:g}" for where in chosen)
     return ""
 
 
 def _measure_pitch(
-    frames: np.ndarray, patterns: list[ProjectedPattern], noise: CameraNoise, description: FringeImageDescription
+    frames: np.ndarray,
+    patterns: list[ProjectedPattern],
+    noise: CameraNoise,
+    description: FringeImageDescription,
+    light: tuple[np.ndarray, np.ndarray],
 ) -> xr.Dataset:
-    """Return phase, sigma, modulation and texture of one pitch."""
+    """Return phase, sigma, modulation and texture of one pitch; `light`: gains of its frames and their covariance."""
+    gains, covariance = light
     measured = absolute_phase(
         frames,
         patterns,
         noise=noise,
         saturation=description.saturation,
         minimum_modulation=description.minimum_modulation,
+        gains=gains,
     )
+    if covariance.any():
+        phase, modulation, texture = (measured[name].values for name in ("phase", "modulation", "texture"))
+        add_gain_variance(phase, modulation, texture, shift_angles(patterns), covariance, measured.sigma.values)
     error = fit_harmonic_error(measured.phase, len(patterns), description.orientation)
     if description.correct_harmonics:
         measured["phase"] = measured.phase.copy(data=error.correct(measured.phase.values))

@@ -108,6 +108,12 @@ def phase_sentences(measured: xr.Dataset) -> Iterator[str]:
     )
     if measured.phase.attrs["relative"]:
         yield "the phase is relative: unwrapped over the image, true up to whole fringes, and wrong behind steps"
+    if measured.attrs["light_change"]:
+        yield (
+            f"light: it changes by {100 * float(measured.attrs['light_change']):.1f} % between the frames of a pitch "
+            f"(flicker); the gain of each frame is fitted, which leaves {float(measured.attrs['light_error']):.4f} "
+            "fringe RMS, contained in sigma"
+        )
     error = float(measured.attrs["harmonic_error"])
     if np.isfinite(error):
         done = "corrected" if measured.attrs["harmonics_corrected"] else "correct_harmonics: true corrects it"

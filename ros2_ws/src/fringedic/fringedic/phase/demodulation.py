@@ -18,7 +18,17 @@ from fringedic.phase.beats import combine_beats
 from fringedic.phase.demodulation_kernel import Limits, Maps, NoiseModel, Shifts, measure_stack
 from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.noise import estimate_noise
-from fringedic.wording.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
+from fringedic.wording.arguments import (
+    array,
+    check_arguments,
+    either,
+    grey_levels,
+    number,
+    of_type,
+    optional,
+    several,
+    whole,
+)
 
 
 @check_arguments(
@@ -82,7 +92,7 @@ def demodulate(
     patterns = [
         ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 1.0, k, shifts) for k in range(1, len(frames) + 1)
     ]
-    return _measure(frames, patterns, noise, saturation, 0.0)
+    return _measure(frames, patterns, noise, saturation, 0.0, None)
 
 
 @check_arguments(
@@ -92,6 +102,7 @@ def demodulate(
     noise=optional(either(CameraNoise, either(np.ndarray, number()))),
     saturation=optional(number()),
     minimum_modulation=number(),
+    gains=optional(array(1)),
 )
 def absolute_phase(
     frames: np.ndarray,
@@ -100,6 +111,7 @@ def absolute_phase(
     noise: CameraNoise | float | np.ndarray | None = None,
     saturation: float | None = None,
     minimum_modulation: float = 0.0,
+    gains: np.ndarray | None = None,
 ) -> xr.Dataset:
     """Measure the absolute phase at the finest pitch from all frames of a step.
 
@@ -128,6 +140,9 @@ def absolute_phase(
         Grey level from which a pixel counts as saturated; by default the largest value of an integer type.
     minimum_modulation
         Modulation [grey level] that the surface has at least, and stray light has not.
+    gains
+        Of the frames after the Gray code, by which flickering light makes them brighter, see
+        `fringedic.phase.checks.stack.find_gains`; sigma does not contain their uncertainty.
 
     Returns
     -------
@@ -166,7 +181,7 @@ def absolute_phase(
     >>> column[0, 16::16].round(1).tolist()
     [16.0, 32.0, 48.0, 64.0]
     """
-    return _measure(frames, patterns, noise, saturation, minimum_modulation)
+    return _measure(frames, patterns, noise, saturation, minimum_modulation, gains)
 
 
 def _measure_beats(
@@ -189,6 +204,7 @@ def _measure_beats(
             cosine=shifts.cosine[where],
             frames=shifts.frames[pitch : pitch + 1],
             ratio=np.ones(1, np.float32),
+            factor=shifts.factor[where],
         )
         measure_stack(frames[where], frames[:0], alone, *conditions, maps)
         phases[pitch], sigmas[pitch] = maps.phase, maps.sigma
@@ -205,6 +221,7 @@ def _measure(
     noise: CameraNoise | float | np.ndarray | None,
     saturation: float | None,
     minimum_modulation: float,
+    gains: np.ndarray | None,
 ) -> xr.Dataset:
     layout = layout_of(patterns)
     check_frames(frames, patterns)
@@ -232,6 +249,7 @@ def _measure(
         ratio=np.array(
             [coarse / fine for coarse, fine in zip(pitches[:1] + pitches, pitches, strict=False)], np.float32
         ),
+        factor=(np.ones(len(fringes)) if gains is None else 1 / gains).astype(np.float32),
     )
     model = NoiseModel(np.float32(camera.read**2), np.float32(camera.shot), of_pixels)
     limits = Limits(np.float32(minimum_modulation), np.float32(saturation_level(frames, saturation)))

@@ -28,6 +28,8 @@ class Shifts(NamedTuple):
         Number of frames of each pitch, float32, shape (pitch,).
     ratio
         Next coarser pitch over this pitch, float32, shape (pitch,); 1 for the coarsest.
+    factor
+        By which the grey levels of each frame are multiplied, float32, shape (frame,).
     """
 
     pitch_of: np.ndarray
@@ -35,6 +37,7 @@ class Shifts(NamedTuple):
     cosine: np.ndarray
     frames: np.ndarray
     ratio: np.ndarray
+    factor: np.ndarray
 
 
 class NoiseModel(NamedTuple):
@@ -132,12 +135,13 @@ def _sums(frames: np.ndarray, row: np.int64, shifts: Shifts) -> tuple[np.ndarray
     brightest = np.zeros(columns, np.float32)
     for k in range(images):
         sines, cosines = sine_sum[shifts.pitch_of[k]], cosine_sum[shifts.pitch_of[k]]
-        sine, cosine = shifts.sine[k], shifts.cosine[k]
+        factor = shifts.factor[k]
+        sine, cosine = factor * shifts.sine[k], factor * shifts.cosine[k]
         for column in range(columns):
             level = np.float32(frames[k, row, column])
             sines[column] += sine * level
             cosines[column] += cosine * level
-            mean[column] += level
+            mean[column] += factor * level
             brightest[column] = max(brightest[column], level)
     per_image = np.float32(1) / np.float32(images)
     for column in range(columns):
@@ -288,3 +292,46 @@ def measure_stack(
     for row in prange(frames.shape[1]):
         # a parallel loop counts in uint64, which the function would be compiled for beside int64
         _measure_row(frames, code, np.int64(row), shifts, model, limits, maps)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def add_gain_variance(
+    phase: np.ndarray,
+    modulation: np.ndarray,
+    texture: np.ndarray,
+    angles: np.ndarray,
+    covariance: np.ndarray,
+    sigma: np.ndarray,
+) -> None:
+    """Add the standard deviation by uncertain gains of the frames of one pitch to that of the phase, in place.
+
+    By eq. 11 a relative change g of frame k at the angle a changes the phase by
+    ``2 g / N (A/B sin(a - phi) + sin(2 (a - phi)) / 2)``.
+
+    Parameters
+    ----------
+    phase, modulation, texture
+        phi [rad], B and A [grey level], float32, shape (row, column).
+    angles, covariance
+        2 pi k / q of each frame [rad] and covariance of the gains, float64, shape (frame,) and (frame, frame).
+    sigma
+        Standard deviation of the phase [rad], float32, shape (row, column).
+    """
+    count = len(angles)
+    # with four functions of the phase the variance is a quadratic form of 4 x 4
+    course = np.empty((4, count))
+    course[0], course[1] = np.sin(angles), np.cos(angles)
+    course[2], course[3] = 0.5 * np.sin(2 * angles), 0.5 * np.cos(2 * angles)
+    form = (course @ covariance @ course.T) * (2.0 / count) ** 2
+    for row in prange(phase.shape[0]):
+        part = np.empty(4)
+        for column in range(phase.shape[1]):
+            sine, cosine = np.sin(phase[row, column]), np.cos(phase[row, column])
+            ratio = texture[row, column] / max(modulation[row, column], np.float32(1e-12))
+            part[0], part[1] = ratio * cosine, -ratio * sine
+            part[2], part[3] = cosine * cosine - sine * sine, -2 * sine * cosine
+            total = sigma[row, column] ** 2
+            for one in range(4):
+                for other in range(4):
+                    total += part[one] * form[one, other] * part[other]
+            sigma[row, column] = np.sqrt(total)

@@ -27,6 +27,7 @@ class FindingKind(Enum):
     UNIDENTIFIED_FRAME = "one frame of a pitch does not show its pattern", ErrorCode.WRONG_PATTERN
     CODE_DISAGREES = "Gray code and fringes disagree", ErrorCode.WRONG_PATTERN
     FLICKER = "the projector's light changes", ErrorCode.FLICKER
+    GAINS = "the projector's light changes, and the gains of the frames are fitted", ErrorCode.FLICKER
     UNEVEN_LIGHT = "the projector's light changes from row to row", ErrorCode.FLICKER
     ROOM_LIGHT = "the room's light changes", ErrorCode.FLICKER
     DISPLACED_FRAME = "the fringes of one frame are displaced", ErrorCode.WRONG_PATTERN
@@ -60,12 +61,12 @@ class Finding:
     value, limit
         Size of the effect and the largest one allowed: the part of the image (SATURATED, CODE_DISAGREES) or of the
         pattern before (PARTLY_LATE), the typical grey level (DARK), the error of the phase [fringe] (FLICKER,
-        UNEVEN_LIGHT, ROOM_LIGHT, DISPLACED_FRAME, MOTION_ALONG, HARMONICS), the
-        motion [px] (MOTION_ACROSS), the pitch in the image if the coarser one is right [projector px],
+        UNEVEN_LIGHT, ROOM_LIGHT, DISPLACED_FRAME, MOTION_ALONG, HARMONICS; GAINS: what remains of it, infinite if
+        unknown), the motion [px] (MOTION_ACROSS), the pitch in the image if the coarser one is right [projector px],
         negative where it grows the wrong way (UNRELATED_PITCH), the number of the coarsest fringes in view
         (REPEATING). NaN where there is none.
     light_change
-        Range of the light over the frames, relative (FLICKER, UNEVEN_LIGHT, ROOM_LIGHT).
+        Range of the light over the frames, relative (FLICKER, GAINS, UNEVEN_LIGHT, ROOM_LIGHT).
     coarser
         Pattern of the next coarser pitch (UNRELATED_PITCH).
     exposure_time

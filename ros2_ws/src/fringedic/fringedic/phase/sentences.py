@@ -21,7 +21,7 @@ def describe(finding: Finding) -> str:
     'the surface moved by 0.50 px across the image while its frames were taken; 0.2 is allowed'
     """
     words = _WORDS[finding.kind](finding)
-    if finding.fault and not math.isnan(finding.limit):
+    if finding.fault and not math.isnan(finding.limit) and not math.isinf(finding.value):
         words += f"; {finding.limit:g} is allowed"
     if finding.exposure_time is not None:
         return f"exposed for {1e3 * finding.exposure_time:g} ms: {words}"
@@ -75,6 +75,16 @@ def _unidentified_frame(finding: Finding) -> str:
     )
 
 
+def _gains(finding: Finding) -> str:
+    words = f"the light changes by {100 * finding.light_change:.1f} % between the frames (flicker)"
+    if math.isinf(finding.value):
+        return (
+            f"{words}, and the gains of the frames cannot be fitted, because the fringes of pitch "
+            f"{finding.patterns[0].pitch:g} px in view do not have all phases: show finer fringes, or steady the light"
+        )
+    return f"{words}; the gain of each frame is fitted, which leaves a phase error of {finding.value:.4f} fringe"
+
+
 _WORDS: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.SATURATED: _saturated,
     FindingKind.DARK: lambda finding: (
@@ -120,6 +130,7 @@ _WORDS: dict[FindingKind, Callable[[Finding], str]] = {
         f"the light changes by {finding.light_change:.1%} between the frames (flicker), which causes a phase error of "
         f"{finding.value:.4f} fringe"
     ).replace("%", " %", 1),
+    FindingKind.GAINS: _gains,
     FindingKind.UNEVEN_LIGHT: lambda finding: (
         f"the light changes by {finding.light_change:.1%} between the frames, from row to row differently, as "
         f"flickering light does with a rolling shutter, which causes a phase error of {finding.value:.4f} fringe: "

@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from fringedic.configuration.fringe_images import FringeImageDescription
 from fringedic.errors import ConfigurationError, FringedicError, ImageError, PhaseError, StepError
 from fringedic.images import measure_phase_images
+from fringedic.images.sentences import phase_sentences
 from fringedic.virtual_rig import FringeScene
 
 WIDTH, BLOCK, SHIFTS = 640, 64.0, 4
@@ -149,6 +150,49 @@ def test_images_of_two_sizes_are_refused(stack: tuple[Path, Content], tmp_path: 
     fringes = [{**content["fringes"][0], "images": ["small.png", *content["fringes"][0]["images"][1:]]}]
     with pytest.raises(ImageError, match=r"p43_1.png has 320x160 px of uint8, small.png has 30x20"):
         measure_phase_images(folder, described({**content, "fringes": fringes}, tmp_path))
+
+
+@pytest.fixture(scope="module")
+def flickering(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Content, np.ndarray, np.ndarray]:
+    """Images of 12 shifts of three pitches, written from their formula, with a gain of 0.95 to 1.05 for each."""
+    folder, random = tmp_path_factory.mktemp("flickering"), np.random.default_rng(3)
+    row, column = np.mgrid[:160, :320]
+    place = 100 + 4.4 * column + 3 * np.sin(row / 40)
+    fringes, gains = [], []
+    for pitch in (48.0, 45.0, 42.0):
+        gain = 1 + 0.05 * random.uniform(-1, 1, 12)
+        names = []
+        for k in range(12):
+            level = gain[k] * (110 + 70 * np.cos(2 * np.pi * (place / pitch - (k + 1) / 12)))
+            names.append(f"p{pitch:.0f}_{k}.png")
+            image = np.clip(np.round(level + random.normal(0, 1.5, place.shape)), 0, 255).astype(np.uint8)
+            cv2.imwrite(str(folder / names[-1]), image)
+        fringes.append({"pitch_px": pitch, "images": names})
+        gains.append(gain / gain.mean())
+    return folder, {"projector_px": 1920, "origin_px": 0, "fringes": fringes}, np.concatenate(gains), place
+
+
+def test_flicker_of_twelve_shifts_is_fitted_and_reported(
+    flickering: tuple[Path, Content, np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    folder, content, gains, place = flickering
+    measured = measure_phase_images(folder, described(content, tmp_path))
+    assert np.abs(measured.gain.values - gains).max() < 0.002
+    assert 0.0001 < float(measured.gain_sigma.mean()) < 0.001
+    assert list(measured.frame.values[:2]) == ["p48_0.png", "p48_1.png"]
+    assert float(measured.valid.mean()) > 0.999
+    error = (measured.coordinate.values - place) * 2 * np.pi / 42
+    assert 0.95 < float(np.sqrt(np.nanmean((error / measured.sigma.values) ** 2))) < 1.05
+    sentences = list(phase_sentences(measured))
+    assert any("light: it changes by" in each and "contained in sigma" in each for each in sentences)
+
+
+def test_the_limit_of_the_error_by_flicker_is_a_key(
+    flickering: tuple[Path, Content, np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    folder, content, _, _ = flickering
+    with pytest.raises(StepError, match=r"flicker.*leaves a phase error of .* fringe; 1e-05 is allowed"):
+        measure_phase_images(folder, described({**content, "maximum_error_fringe": 1e-5}, tmp_path))
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no real fringes in {REAL}")

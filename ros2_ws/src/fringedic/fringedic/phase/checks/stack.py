@@ -21,6 +21,7 @@ from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.phase.checks.code_jumps import CodeJumps
 from fringedic.phase.checks.flicker_and_motion import find_changes
 from fringedic.phase.checks.frame_order import check_order, find_contradiction
+from fringedic.phase.checks.gains import Gains, fit_gains
 from fringedic.phase.checks.misfit import Misfit
 from fringedic.phase.checks.projector_lag import find_lag
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
@@ -113,6 +114,7 @@ def inspect_stack(
     settings: PhaseSettings = DEFAULT_SETTINGS,
     *,
     numbers: Sequence[int] | None = None,
+    gains: np.ndarray | None = None,
 ) -> list[Finding]:
     """Return what `check_stack` finds, the fault that it raises included.
 
@@ -120,6 +122,8 @@ def inspect_stack(
     ----------
     frames, patterns, settings, numbers
         See `check_stack`.
+    gains
+        Of the frames, see `find_gains`, by which their grey levels are divided.
 
     Returns
     -------
@@ -127,8 +131,33 @@ def inspect_stack(
         At most one of them, the last, is a fault.
     """
     counted = range(len(patterns)) if numbers is None else numbers
-    found = _find(frames, patterns, settings)
+    found = _find(frames, patterns, settings, np.ones(len(patterns)) if gains is None else gains)
     return [replace(each, frames=tuple(counted[frame] for frame in each.frames)) for each in found]
+
+
+def find_gains(
+    frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: PhaseSettings = DEFAULT_SETTINGS
+) -> Gains:
+    """Return the gains by which flickering light makes the frames brighter or darker, see `fit_gains`.
+
+    Parameters
+    ----------
+    frames, patterns, settings
+        See `check_stack`.
+    """
+    layout = layout_of(patterns)
+    check_frames(frames, patterns)
+    none = Gains(np.ones(len(patterns)), [np.zeros((count, count)) for count in layout.counts], None)
+    if min(frames.shape[1:]) < _SMALLEST_SIDE:
+        return none
+    region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
+    sample = Sample.from_stack(frames, layout, region=region)
+    saturated = sample.levels.max(axis=0) >= saturation_level(frames, settings.saturation)
+    usable = _usable_pixels(sample, saturated, settings)
+    if usable.sum() < _FEWEST_PIXELS:
+        return none
+    sample = sample.select(usable)
+    return fit_gains(sample, _estimate_noise(sample, settings), settings.largest_error)
 
 
 def step_error(fault: Finding) -> StepError:
@@ -136,7 +165,9 @@ def step_error(fault: Finding) -> StepError:
     return StepError(describe(fault), index=fault.frames[0] if fault.frames else None, code=fault.kind.code)
 
 
-def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: PhaseSettings) -> list[Finding]:
+def _find(
+    frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: PhaseSettings, gains: np.ndarray
+) -> list[Finding]:
     """Return all findings up to the first fault, with frames by their position in the stack."""
     layout = layout_of(patterns)
     check_frames(frames, patterns)
@@ -148,7 +179,7 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
     saturated = sample.levels.max(axis=0) >= ceiling
     usable = _usable_pixels(sample, saturated, settings)
     if region is not None and usable.sum() < _FEWEST_PIXELS:  # the specimen has moved out of the region
-        return _find(frames, patterns, replace(settings, region=None))
+        return _find(frames, patterns, replace(settings, region=None), gains)
     bad = _find_bad_exposure(sample, saturated, usable, ceiling, settings, patterns)
     if bad is not None:
         return [bad]
@@ -161,6 +192,8 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
         return [] if fault is None else [fault]
     found = [Finding(FindingKind.SATURATED, value=saturated.mean())] if saturated.mean() > _SMALLEST_PART else []
     sample = sample.select(usable)
+    if np.ptp(gains):
+        sample = sample.with_light(gains)
     noise = _estimate_noise(sample, settings)
     evidence = Misfit(sample, noise)(range(len(patterns)))
     jumps = CodeJumps(frames, layout, vertical=sample.is_vertical)
