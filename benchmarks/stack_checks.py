@@ -289,7 +289,7 @@ right, and the number of the frame where a single frame is the cause.
 - **Motion along the light** by a whole shift looks like a frame too many or too few. The injected one is less than half
   a shift.
 - **One frame with another pattern** is named when it deviates by half the difference of two successive shifts or more.
-  A smaller deviation is attributed to the light or to a motion.
+  A smaller deviation is attributed to displaced fringes of this frame, to the light or to a motion.
 - **A part of the pattern before** above 50 % may be reported as "late by one frame". Both have the same cause.
 """
     )

@@ -79,21 +79,35 @@ def _find_in_pitch(
     fringes = Fringes.of(sample, number)
     if len(fringes.angles) < 4 or not covers_all_phases(fringes.fit):
         return []
+    limits = largest_error, largest_motion
+    found = _significant_findings(fringes, _fit_changes(sample, fringes, camera, room=False), *limits, room=False)
+    if not found:
+        return []
     causes = compare_causes(sample, fringes, camera)
-    if causes.ranked[:1] == (FindingKind.UNEVEN_LIGHT,):  # the fit below would take it for other changes
-        error = float(np.std(np.sum(phase_changes(fringes) * causes.uneven.T, axis=1))) / (2 * np.pi)
-        uneven = Finding(
-            FindingKind.UNEVEN_LIGHT,
-            error > largest_error,
-            value=error,
-            limit=largest_error,
-            light_change=float(np.ptp(causes.uneven, axis=0).max()),
-        )
-        return [uneven] if error > _REPORTED * largest_error or uneven.light_change > _REPORTED_FLICKER else []
-    room = FindingKind.ROOM_LIGHT in causes.ranked
-    changes = _fit_changes(sample, fringes, camera, room=room)
-    count = changes.frames
-    light = changes.light
+    if causes.ranked[:1] == (FindingKind.UNEVEN_LIGHT,):  # the fit above takes it for other changes
+        return _uneven_light(fringes, causes.uneven, largest_error)
+    if FindingKind.ROOM_LIGHT in causes.ranked:
+        found = _significant_findings(fringes, _fit_changes(sample, fringes, camera, room=True), *limits, room=True)
+    if causes.displaced is not None:
+        frame, pattern = fringes.where.start + causes.displaced, sample.layout.periods[number][causes.displaced]
+        found = [
+            replace(each, kind=FindingKind.DISPLACED_FRAME, frames=(frame,), patterns=(pattern,))
+            if each.kind is FindingKind.MOTION_ALONG
+            else each
+            for each in found
+        ]
+    found = sorted(
+        (each for each in found if each.kind in causes.ranked), key=lambda each: causes.ranked.index(each.kind)
+    )
+    first = next((number for number, each in enumerate(found) if each.fault), len(found))
+    return found[: first + 1]
+
+
+def _significant_findings(
+    fringes: Fringes, changes: _Changes, largest_error: float, largest_motion: float, *, room: bool
+) -> list[Finding]:
+    """Return the changes that are large enough for a finding and exceed their noise; `room`: see `_fit_changes`."""
+    count, light = changes.frames, changes.light
     # eq. 11 of the light's change: sin(angle - phi) / B, times the model
     shown = np.broadcast_to(fringes.fit[0], fringes.model.shape) if room else fringes.model
     error = np.einsum("kp,kp,k->p", fringes.quadrature, shown, -2 / count * light) / fringes.modulation**2
@@ -114,10 +128,6 @@ def _find_in_pitch(
         np.sqrt(np.mean(wander[0] ** 2) + (np.mean(wander[1] ** 2) + np.mean(wander[2] ** 2)) / 3) / (2 * np.pi)
     )
     along = Finding(FindingKind.MOTION_ALONG, swing > largest_error, value=swing, limit=largest_error)
-    if causes.displaced is not None:
-        frame = fringes.where.start + causes.displaced
-        pattern = sample.layout.periods[number][causes.displaced]
-        along = replace(along, kind=FindingKind.DISPLACED_FRAME, frames=(frame,), patterns=(pattern,))
     found = []
     for finding, parameters in (
         (flicker, slice(0, count)),
@@ -125,11 +135,19 @@ def _find_in_pitch(
         (along, slice(count, 4 * count)),
     ):
         worth = finding.value > _REPORTED * finding.limit or finding.light_change > _REPORTED_FLICKER
-        if worth and finding.kind in causes.ranked and _is_significant(*changes.part(parameters)):
+        if worth and _is_significant(*changes.part(parameters)):
             found.append(finding)
-    found.sort(key=lambda each: causes.ranked.index(each.kind))
-    first = next((number for number, each in enumerate(found) if each.fault), len(found))
-    return found[: first + 1]
+    return found
+
+
+def _uneven_light(fringes: Fringes, light: np.ndarray, largest_error: float) -> list[Finding]:
+    """Return the finding about light that changes from row to row, shape (frame, pixel), where it is large enough."""
+    error = float(np.std(np.sum(phase_changes(fringes) * light.T, axis=1))) / (2 * np.pi)
+    change = float(np.ptp(light, axis=0).max())
+    if error < _REPORTED * largest_error and change < _REPORTED_FLICKER:
+        return []
+    fault = error > largest_error
+    return [Finding(FindingKind.UNEVEN_LIGHT, fault, value=error, limit=largest_error, light_change=change)]
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import SAMPLES, Sample
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.findings import Finding, FindingKind
-from fringedic.phase.layout import check_frames, layout_of
+from fringedic.phase.layout import Layout, check_frames, layout_of
 from fringedic.phase.sentences import describe
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 from fringedic.phase.sinusoids import fit_wave
@@ -152,8 +152,11 @@ def find_gains(
         return none
     region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
     sample = Sample.from_stack(frames, layout, region=region)
-    saturated = sample.levels.max(axis=0) >= saturation_level(frames, settings.saturation)
-    usable = _usable_pixels(sample, saturated, settings)
+    ceiling = saturation_level(frames, settings.saturation)
+    usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
+    if 0 < usable.mean() < _SPARSE:
+        sample = _denser_sample(frames, layout, usable, region)
+        usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
     if usable.sum() < _FEWEST_PIXELS:
         return none
     sample = sample.select(usable)
@@ -184,7 +187,7 @@ def _find(
     if bad is not None:
         return [bad]
     if 0 < usable.mean() < _SPARSE:
-        sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)), region)
+        sample = _denser_sample(frames, layout, usable, region)
         saturated = sample.levels.max(axis=0) >= ceiling
         usable = _usable_pixels(sample, saturated, settings)
     if usable.sum() < _FEWEST_PIXELS:
@@ -208,6 +211,11 @@ def _find(
         return found + changes
     fault = find_contradiction(evidence.residual, layout.slices(), patterns)
     return found if fault is None else [*found, fault]
+
+
+def _denser_sample(frames: np.ndarray, layout: Layout, usable: np.ndarray, region: np.ndarray | None) -> Sample:
+    """Return a sample with about as many usable pixels as one has that is usable everywhere."""
+    return Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)), region)
 
 
 def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
