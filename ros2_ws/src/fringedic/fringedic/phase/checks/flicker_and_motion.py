@@ -96,9 +96,10 @@ def _find_in_pitch(
             else each
             for each in found
         ]
-    found = sorted(
-        (each for each in found if each.kind in causes.ranked), key=lambda each: causes.ranked.index(each.kind)
-    )
+    if causes.ranked:  # otherwise only the centre of the circle shows the change
+        found = sorted(
+            (each for each in found if each.kind in causes.ranked), key=lambda each: causes.ranked.index(each.kind)
+        )
     first = next((number for number, each in enumerate(found) if each.fault), len(found))
     return found[: first + 1]
 

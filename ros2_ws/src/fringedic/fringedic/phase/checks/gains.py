@@ -37,7 +37,7 @@ from fringedic.phase.sinusoids import harmonic_levels, residual_maker
 _FALSE_ALARMS = 1e-6  # so often a test reports gains that are only noise, or a circle displaced by noise alone
 _ROUNDS = 5  # of Gauss-Newton: changes of 15 % are then exact to 1e-5
 _CONVERGED = 1e-5
-_TILES = 8  # the image has so many tiles along each side, whose pixels count as one observation
+_TILES = 8  # along each side of the bounding box of the pixels; those of a tile count as one observation
 _PROJECTOR = {FindingKind.FLICKER, FindingKind.UNEVEN_LIGHT}
 _DISPLACED = {FindingKind.MOTION_ALONG, FindingKind.DISPLACED_FRAME}
 _RANK = 1e-8  # eigenvalues below this part of the largest are not determined
@@ -198,25 +198,22 @@ class _Step:
         normal = np.tile(maker, (kinds, kinds)) * (parts @ parts.T)
         right = np.sum(parts.reshape(kinds, count, -1) * rest, axis=2).ravel()
         reduced = without_harmonics(normal, right, parts, rest, harmonics)
-        hessian, gradient, share = reduced.normal[:count, :count], reduced.right[:count], np.zeros((count, 0))
-        if displaced:  # eliminated like the harmonics
+        hessian, values = reduced.normal[:count, :count], reduced.right[:count]
+        known = np.zeros_like(hessian)
+        if displaced:  # eliminated like the harmonics; the centre of the circle gives what both have in common
             both, own = reduced.normal[:count, count:], reduced.normal[count:, count:]
-            share = both @ np.linalg.pinv(own, rcond=_RANK, hermitian=True)
-            hessian, gradient = hessian - share @ both.T, gradient - share @ reduced.right[count:]
-        known = np.zeros((count, count))
-        if displaced:
+            alone = np.linalg.pinv(own, rcond=_RANK, hermitian=True)
+            share = both @ alone
             centre, covariance = circle_centre(sample, fringes)
             courses = centre_courses(fringes.angles)
             weighted = courses.T @ np.linalg.inv(covariance[:2, :2])
-            known, gradient = weighted @ courses, gradient + weighted @ centre[:2]
+            known = weighted @ courses
+            hessian, values = hessian - share @ both.T, values - share @ reduced.right[count:] + weighted @ centre[:2]
         free = _zero_mean(count)
-        inverse = np.linalg.pinv(free.T @ (hessian + known) @ free, rcond=_RANK, hermitian=True)
-        solver = free @ inverse @ free.T
-        change = solver @ gradient
-        values = change
+        solver = free @ np.linalg.pinv(free.T @ (hessian + known) @ free, rcond=_RANK, hermitian=True) @ free.T
+        values = change = solver @ values
         if displaced:
-            own_right = reduced.right[count:] - both.T @ change
-            values = np.concatenate([change, np.linalg.pinv(own, rcond=_RANK, hermitian=True) @ own_right])
+            values = np.concatenate([change, alone @ (reduced.right[count:] - both.T @ change)])
         left = rest - maker @ np.sum((parts * values[:, None]).reshape(kinds, count, -1), axis=0)
         left -= np.tensordot(reduced.strength - values @ reduced.share, harmonics, axes=1)
         scores = (parts.reshape(kinds, count, -1) * left).reshape(len(parts), -1)
@@ -229,7 +226,7 @@ class _Step:
         return cls(change, solver @ meat @ solver, tiles)
 
     def is_significant(self, change: np.ndarray) -> bool:
-        """Return whether a change exceeds what noise alone gives (Hotelling's test)."""
+        """Return whether a change exceeds what noise alone gives (Hotelling's test, tiles as observations)."""
         freedom = int(np.linalg.matrix_rank(self.covariance, rtol=_RANK, hermitian=True))
         rest = self.tiles - freedom
         if freedom == 0 or rest < 1:
@@ -239,8 +236,11 @@ class _Step:
 
 
 def _sums_of_tiles(sample: Sample, values: np.ndarray) -> np.ndarray:
-    """Return the sums of values (any, pixel) over the pixels of each tile of the image that has some."""
-    row, column = (np.clip((each + 1) * _TILES / 2, 0, _TILES - 1).astype(int) for each in (sample.y, sample.x))
+    """Return the sums of values (any, pixel) over the pixels of each tile of their bounding box that has some."""
+    row, column = (
+        np.minimum((each - each.min()) * (_TILES / max(float(np.ptp(each)), 1e-9)), _TILES - 1).astype(int)
+        for each in (sample.y, sample.x)
+    )
     used, tile = np.unique(row * _TILES + column, return_inverse=True)
     return np.array([np.bincount(tile, each, len(used)) for each in values])
 
