@@ -14,20 +14,21 @@ import xarray as xr
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.fit import Solution, information_criterion
 from fringedic.calibration.fit_results import Candidate, Parameter, PlaneResult
-from fringedic.calibration.geometry import SCALES, Camera, check_size, place_planes, predict, rig_model
-from fringedic.calibration.models import ModelFitter, scatter_of
+from fringedic.calibration.geometry import check_size, rig_model
+from fringedic.calibration.models import ModelFitter
 from fringedic.calibration.outliers import unusual_ripple
 from fringedic.calibration.result import RigCalibration
+from fringedic.calibration.uncertainty import best_actions, height_sigma, motion_sigma, rig_with_covariance
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding
-from fringedic.rig.geometry import PARAMETERS, parameter_values
 from fringedic.rig.model import RigModel
-from fringedic.rig.uncertainty import position_errors
 
-_STEP = 1e-5  # central differences use this part of the scale of a parameter
 _RIPPLE = 2e-3 * 2 * math.pi  # [rad] the noise of a usual sequence (q = 8, 1 grey level); averaging does not reduce it
 _OUTLIERS = 1e-3  # noise alone has no pixels beyond six standard deviations
 _SPREAD = math.radians(8)  # a smaller range of angles calibrates the heights poorly
+_IN_PLANE = 1e-3  # of a motion along z, in u or v: about the noise of the displacement after 1 mm
+_UNEXPLAINED = 4.0  # standard deviations of chi square; noise alone has so many in 1 of 30 000 calibrations
+_ALIKE = 2.0  # blocks that count as one
 _ADVISED_PLANES = 5  # with so many planes an outlier can be found
 
 _TITLES: dict[str, tuple[str, str, float]] = {
@@ -100,7 +101,9 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
     """
     camera, planes, solution = fitter.camera, fitter.planes, selection.solution
     check_size(camera, solution.values["camera_distance"])
-    model = _with_covariance(camera, solution, origin)
+    model = dataclasses.replace(
+        rig_with_covariance(camera, solution), identifier=origin.identifier, source=origin.source
+    )
     results, maps = zip(
         *(_plane_result(fitter, selection, model, index) for index in range(len(planes.blocks))), strict=True
     )
@@ -123,7 +126,7 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         predicted=_root_mean([plane.predicted for plane in fitted]),
         systematic=_root_mean([plane.systematic for plane in fitted]),
         held_out=max((results[index].systematic for index in planes.held_out), default=math.nan),
-        height_sigma=_height_sigma(fitter, selection, model),
+        height_sigma=height_sigma(fitter, selection.used, solution, model),
         principal_effect=fitter.principal_effect(selection.variant, selection.used, solution),
         residual_map=xr.Dataset(
             {
@@ -148,31 +151,7 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         warnings=(),
         created=origin.created,
     )
-    return dataclasses.replace(calibration, warnings=tuple(_warnings(calibration, fitter, selection.used)))
-
-
-def _with_covariance(camera: Camera, solution: Solution, origin: Origin) -> RigModel:
-    """Return the fitted rig with the covariance of the model's own parameters (linear propagation)."""
-    rig = rig_model(camera, solution.values)
-    names = tuple(PARAMETERS)
-    columns = []
-    for name in solution.names:
-        step = _STEP * SCALES.get(name, 1e-3)
-        sides = [
-            parameter_values(rig_model(camera, {**solution.values, name: solution.values[name] + side}), names)
-            for side in (step, -step)
-        ]
-        columns.append((sides[0] - sides[1]) / (2 * step))
-    jacobian = np.stack(columns, axis=1)
-    covariance = jacobian @ solution.covariance @ jacobian.T
-    known = np.diag(covariance) > 0
-    return dataclasses.replace(
-        rig,
-        identifier=origin.identifier,
-        source=origin.source,
-        parameter_names=tuple(name for name, use in zip(names, known, strict=True) if use),
-        covariance=tuple(covariance[np.ix_(known, known)].ravel().tolist()),
-    )
+    return dataclasses.replace(calibration, warnings=tuple(_warnings(calibration, fitter, selection)))
 
 
 def _plane_result(
@@ -209,12 +188,8 @@ def _plane_result(
 
 def _residual(fitter: ModelFitter, solution: Solution, index: int) -> np.ndarray:
     """Return measured - predicted phase of the blocks of a plane [rad], (n, m)."""
-    plane = fitter.planes.blocks[index]
-    column, row = fitter.camera.ideal(*np.meshgrid(plane.column, plane.row))
-    pixels = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
-    predicted = predict(fitter.camera, solution.values, fitter.placement, (index,), (pixels,)).reshape(column.shape)
-    result: np.ndarray = plane.phase - predicted
-    return result
+    residual: np.ndarray = fitter.residual(solution, index) * fitter.planes.blocks[index].sigma
+    return residual
 
 
 def _slope(fitter: ModelFitter, model: RigModel, index: int) -> np.ndarray:
@@ -225,8 +200,8 @@ def _slope(fitter: ModelFitter, model: RigModel, index: int) -> np.ndarray:
 
 
 def _candidates(fitter: ModelFitter, selection: Selection) -> Iterator[Candidate]:
-    scatter = scatter_of(selection.fits)
-    reference = information_criterion(selection.solution, scatter)
+    correlation = selection.solution.correlation
+    reference = information_criterion(selection.solution, correlation)
     for variant, fit in selection.fits.items():
         model = rig_model(fitter.camera, fit.values)
         squares = [
@@ -237,25 +212,9 @@ def _candidates(fitter: ModelFitter, selection: Selection) -> Iterator[Candidate
             variant,
             len(fit.names),
             fit.reduced_chi_square,
-            information_criterion(fit, scatter) - reference,
+            information_criterion(fit, correlation) - reference,
             _root_mean(squares),
         )
-
-
-def _height_sigma(fitter: ModelFitter, selection: Selection, model: RigModel) -> float:
-    """Return the largest standard deviation of z due to the calibration, at the corners of the fitted planes [m]."""
-    camera, values = fitter.camera, selection.solution.values
-    largest = 0.0
-    placed = place_planes(camera, values, *fitter.placement.of(selection.used, values))
-    for index, normal, offset in zip(selection.used, *placed, strict=True):
-        plane = fitter.planes.blocks[index]
-        column, row = np.meshgrid(plane.column[[0, -1]], plane.row[[0, -1]])
-        rays = np.stack([*camera.ideal(column, row), np.ones(column.shape)], axis=-1) @ model.ray_matrix.T
-        along = (offset - normal[2] * model.camera_distance) / (rays @ normal)
-        z = model.camera_distance + along * rays[..., 2]
-        errors = position_errors(model, column, row, z, camera.orientation)
-        largest = max(largest, float(np.sqrt(np.sum(errors[:, 2] ** 2, axis=0)).max()))
-    return largest
 
 
 def _parameter(name: str, index: int, solution: Solution) -> Parameter:
@@ -273,7 +232,8 @@ def _root_mean(values: Sequence[float]) -> float:
     return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
-def _warnings(calibration: RigCalibration, fitter: ModelFitter, used: Sequence[int]) -> Iterator[Finding]:
+def _warnings(calibration: RigCalibration, fitter: ModelFitter, selection: Selection) -> Iterator[Finding]:
+    used = selection.used
     for plane in calibration.planes:
         if plane.problem:
             yield dataclasses.replace(plane.problem, subject=plane.name)
@@ -299,5 +259,25 @@ def _warnings(calibration: RigCalibration, fitter: ModelFitter, used: Sequence[i
         yield Finding(CalibrationWarning.FEW_PLANES, values={"count": len(used)})
     if not calibration.tested:
         yield Finding(CalibrationWarning.NOT_TESTED)
-    if calibration.height_sigma > calibration.predicted:
-        yield Finding(CalibrationWarning.UNCERTAIN_HEIGHT, values={"sigma": calibration.height_sigma})
+    if not selection.solution.converged:
+        yield Finding(CalibrationWarning.NOT_CONVERGED)
+    yield from _uncertainties(calibration, fitter, selection)
+
+
+def _uncertainties(calibration: RigCalibration, fitter: ModelFitter, selection: Selection) -> Iterator[Finding]:
+    """Yield the uncertainties that are larger than the noise of a measurement, each with what reduces it most."""
+    solution = selection.solution
+    in_plane = motion_sigma(calibration.model, calibration.orientation)
+    unexplained = solution.reduced_chi_square > 1 + _UNEXPLAINED * math.sqrt(2 / solution.freedom)
+    if in_plane > _IN_PLANE and unexplained and solution.correlation > _ALIKE:
+        yield Finding(CalibrationWarning.UNEXPLAINED, values={"blocks": solution.correlation, "sigma": in_plane})
+    large = {
+        CalibrationWarning.UNCERTAIN_HEIGHT: (calibration.height_sigma, calibration.predicted),
+        CalibrationWarning.UNCERTAIN_MOTION: (in_plane, _IN_PLANE),
+    }
+    large = {code: (sigma, limit) for code, (sigma, limit) in large.items() if sigma > limit}
+    if large:
+        actions = best_actions(fitter, selection.used, selection.variant, solution)
+        for code, (sigma, _) in large.items():
+            action, reduced = actions[code]
+            yield Finding(code, values={"sigma": sigma, "action": float(action), "reduced": reduced})

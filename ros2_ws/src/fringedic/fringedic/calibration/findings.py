@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
 
 class ImageProblem(StrEnum):
@@ -29,10 +29,21 @@ class CalibrationWarning(StrEnum):
     TILT_FROM_ONE_PLANE = "tilt_from_one_plane"
     FEW_PLANES = "few_planes"  # count
     NOT_TESTED = "not_tested"
-    UNCERTAIN_HEIGHT = "uncertain_height"  # sigma [m]
+    UNCERTAIN_HEIGHT = "uncertain_height"  # sigma [m], action, reduced [m]; before version 0.3 sigma alone
+    NOT_CONVERGED = "not_converged"
+    UNEXPLAINED = "unexplained"  # blocks (so many count as one), sigma (of u or v, over a motion along z)
+    UNCERTAIN_MOTION = "uncertain_motion"  # sigma (of u or v, over a motion along z), action, reduced (sigma after it)
     DRIFT = "drift"  # change, noise [m]
     DRIFT_UNKNOWN = "drift_unknown"
     TEXT = "warning_in_words"  # of a file of an older version; the subject is the sentence
+
+
+class Action(IntEnum):
+    """What can be measured in addition to a calibration."""
+
+    GRIDS = 0  # the grid on the plane at angle 0 and tilted to both sides
+    ANGLES = 1  # planes at angles twice as large
+    PLANES = 2  # twice as many planes
 
 
 class CheckProblem(StrEnum):

@@ -2,8 +2,10 @@
 
 Every residual is divided by the standard deviation that the noise of the phase predicts, so that the covariance is the
 inverse of the normal matrix without scaling. Errors of angles and heights are parameters with priors, the standard
-uncertainty of the stage. Models are compared by the Bayesian information criterion (Schwarz 1978), chi^2 / s^2 +
-parameters ln(blocks); s^2 is 1, or larger when even the best model leaves more than noise.
+uncertainty of the stage; so are the coefficients of the projector's lens, with what a lens can have. Residuals that
+neighbouring blocks share count as fewer blocks: their variance is multiplied by the factor of
+`fringedic.calibration.residual_correlation`. Models are compared by the Bayesian information criterion (Schwarz 1978),
+chi^2 / factor + parameters ln(blocks / factor).
 """
 
 from __future__ import annotations
@@ -13,11 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
+from fringedic.calibration.curved_least_squares import minimise
 from fringedic.calibration.geometry import (
     AXIS,
     GENERAL,
+    LENS,
     SCALES,
     SIX_PARAMETERS,
     Camera,
@@ -31,8 +34,7 @@ from fringedic.errors import CalibrationError
 
 _STEP = 1e-5  # of a scale, for central differences: relative error of the derivative about 1e-10
 _OUT_OF_REACH = 1e6  # standard deviations; residual of parameters that are not those of a rig
-_TOLERANCE = 1e-10  # relative, of parameters and chi square: far below every standard deviation
-_MOST_STEPS = 60  # evaluations of the residuals
+MOST_STEPS = 100
 
 
 @dataclass(frozen=True)
@@ -83,14 +85,15 @@ class Observations:
     def __len__(self) -> int:
         return sum(len(phase) for phase in self.phases)
 
-    def only(self, planes: Sequence[int], skip: int = 1) -> Observations:
-        """Return the observations of some planes, every `skip`-th block."""
+    def only(self, planes: Sequence[int], skip: int = 1, correlation: float = 1.0) -> Observations:
+        """Return the observations of some planes, every `skip`-th block, their variance multiplied by a factor."""
+        spread = math.sqrt(correlation)
         chosen = [self.planes.index(plane) for plane in planes]
         return Observations(
             tuple(planes),
             tuple(self.pixels[i][:, ::skip] for i in chosen),
             tuple(self.phases[i][::skip] for i in chosen),
-            tuple(self.sigmas[i][::skip] for i in chosen),
+            tuple(spread * self.sigmas[i][::skip] for i in chosen),
         )
 
 
@@ -110,6 +113,10 @@ class Solution:
         Sum of squares of the residuals of blocks in units of their standard deviation, priors included.
     count
         Number of blocks.
+    correlation
+        By how much the variance of smooth parameters exceeds that of as many independent blocks.
+    converged
+        Whether the minimum was reached.
     """
 
     names: tuple[str, ...]
@@ -117,6 +124,8 @@ class Solution:
     covariance: np.ndarray
     chi_square: float
     count: int
+    correlation: float = 1.0
+    converged: bool = True
 
     @property
     def freedom(self) -> int:
@@ -149,8 +158,9 @@ def fit(
     start: Mapping[str, float],
     free: Sequence[str],
     priors: Mapping[str, Prior],
+    most_steps: int = MOST_STEPS,
 ) -> Solution:
-    """Fit the free parameters by Levenberg-Marquardt.
+    """Fit the free parameters.
 
     Parameters
     ----------
@@ -163,6 +173,8 @@ def fit(
     priors
         Of free parameters. The pin-hole that grids on the tilted plane located is added as an observation where the
         camera's tilt is free.
+    most_steps
+        The search ends after so many steps.
     """
     names = tuple(free)
     fixed = dict(start)
@@ -197,19 +209,8 @@ def fit(
             columns.append((residuals(scaled + step) - residuals(scaled - step)) / (2 * _STEP))
         return np.stack(columns, axis=1)
 
-    found = least_squares(
-        residuals,
-        np.array([start[name] for name in names]) / scales,
-        jac=jacobian,
-        method="lm",
-        x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=_MOST_STEPS,
-    )
-    slopes = np.asarray(found.jac)
-    normal = slopes.T @ slopes
+    found = minimise(residuals, jacobian, np.array([start[name] for name in names]) / scales, most_steps)
+    normal = found.jacobian.T @ found.jacobian
     unit = np.sqrt(np.diag(normal))
     unit = np.where(unit > 0, unit, 1.0)
     covariance = np.linalg.pinv(normal / np.outer(unit, unit), rcond=1e-14, hermitian=True) / np.outer(unit, unit)
@@ -217,14 +218,15 @@ def fit(
         names=names,
         values={**fixed, **dict(zip(names, (found.x * scales).tolist(), strict=True))},
         covariance=covariance * np.outer(scales, scales),
-        chi_square=float(2 * found.cost),
+        chi_square=float(found.residual @ found.residual),
         count=len(observations),
+        converged=found.converged,
     )
 
 
-def information_criterion(solution: Solution, scatter: float) -> float:
-    """Return chi^2 / s^2 + parameters ln(blocks); the lower the better."""
-    return solution.chi_square / scatter + len(solution.names) * math.log(solution.count)
+def information_criterion(solution: Solution, correlation: float) -> float:
+    """Return chi^2 / factor + parameters ln(blocks / factor); the lower the better."""
+    return solution.chi_square / correlation + len(solution.names) * math.log(solution.count / correlation)
 
 
 def parameters_of(
@@ -246,10 +248,7 @@ def parameters_of(
     if variant is ModelVariant.SIX_PARAMETER:
         names = tuple(name for name in SIX_PARAMETERS if turned or name != "axis_position")
         return (*names, *stage_errors)
-    names = GENERAL + (AXIS if turned else ())
+    names = GENERAL + LENS + (AXIS if turned else ())
     names += ("camera_tilt_x", "camera_tilt_y") if tilts else ()
     names += ("projector_principal",) if principal else ()
-    names += ("projector_k1",) if variant.has_k1 else ()
-    names += ("projector_along",) if variant.has_centre else ()
-    names += ("projector_k2", "projector_p1", "projector_p2", "projector_k3") if variant.has_five else ()
     return (*names, *stage_errors)

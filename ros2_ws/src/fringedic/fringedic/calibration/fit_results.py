@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 
+from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.placement import Placement
 from fringedic.calibration.planes import response_ripple
 from fringedic.calibration.variants import ModelVariant
@@ -38,6 +39,7 @@ class Reason(StrEnum):
     NO_RIG_FITS = "no_rig_fits"
     HELD_OUT_DEVIATES = "held_out_deviates"
     UNCERTAIN_HEIGHT = "uncertain_height"
+    NOT_CONVERGED = "not_converged"
 
 
 _VERDICTS = {Reason.WITHIN_NOISE: Verdict.GO, Reason.BEYOND_NOISE: Verdict.GO_WITH_CARE}
@@ -159,7 +161,7 @@ class FitResult:
     @property
     def chosen(self) -> str:
         """Name of the model in files: "six_parameter" or "general"."""
-        return self.variant.family
+        return str(self.variant)
 
     @property
     def bad_images(self) -> tuple[str, ...]:
@@ -185,6 +187,8 @@ class FitResult:
             return Reason.HELD_OUT_DEVIATES
         if self.height_sigma > USABLE * self.predicted:
             return Reason.UNCERTAIN_HEIGHT
+        if any(each.code is CalibrationWarning.NOT_CONVERGED for each in self.warnings):
+            return Reason.NOT_CONVERGED
         if worst.systematic > GOOD * worst.predicted or self.held_out > GOOD * self.predicted:
             return Reason.BEYOND_NOISE
         return Reason.WITHIN_NOISE

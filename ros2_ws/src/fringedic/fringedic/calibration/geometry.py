@@ -21,7 +21,7 @@ from fringedic.camera.plane_homography import PinHole, PlaneHomography
 from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import GENERAL as GENERAL_MODEL
-from fringedic.rig.geometry import SIX_PARAMETER
+from fringedic.rig.geometry import SIX_PARAMETER, projector_axes
 from fringedic.rig.model import RigModel
 from fringedic.wording.numbers import number_text
 
@@ -71,6 +71,8 @@ GENERAL = (
     "projector_nod",
     "projector_roll",
 )
+# The position along the fringes shifts the centre of the distortion, and without distortion nothing.
+LENS = ("projector_k1", "projector_k2", "projector_k3", "projector_p1", "projector_p2", "projector_along")
 AXIS = ("axis_across", "axis_height", "axis_skew", "axis_slope")
 
 
@@ -147,7 +149,7 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         seen = camera.plane.camera(distance / scale, None if camera.plane.pin_hole is None else tilts)
         pixel_size, pixel_aspect = scale * seen["pixel_size"], seen["pixel_aspect"]
         tilts = (seen["camera_tilt_x"], seen["camera_tilt_y"])
-    across, along = values["projector_across"], values.get("projector_along", 0.0)
+    across = values["projector_across"]
     turn, nod, roll = (values.get(f"projector_{name}", 0.0) for name in ("turn", "nod", "roll"))
     columns = [(camera.projector_width - 1) / 2, (camera.projector_height - 1) / 2]
     shift = values.get("projector_principal", 0.0)
@@ -157,6 +159,11 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
     else:
         columns[1] += shift - offset
     height = values["projector_height"]
+    position = (across, 0.0, height) if camera.vertical else (0.0, across, height)
+    rotation = (turn, nod, roll) if camera.vertical else (nod, turn, roll)
+    along = values.get("projector_along", 0.0)
+    if along:
+        position, rotation = _moved_along_fringes(position, rotation, along, vertical=camera.vertical)
     return RigModel(
         camera_width=camera.width,
         camera_height=camera.height,
@@ -170,8 +177,8 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         camera_distortion=camera.distortion,
         projector_width=camera.projector_width,
         projector_height=camera.projector_height,
-        projector_position=(across, along, height) if camera.vertical else (along, across, height),
-        projector_rotation=(turn, nod, roll) if camera.vertical else (nod, turn, roll),
+        projector_position=position,
+        projector_rotation=rotation,
         projector_focal_length=values["projector_focal_length"],
         projector_principal_column=columns[0],
         projector_principal_row=columns[1],
@@ -182,6 +189,24 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         projector_k3=values.get("projector_k3", 0.0),
         model=SIX_PARAMETER if six_parameter else GENERAL_MODEL,
     )
+
+
+_Triple = tuple[float, float, float]
+
+
+def _moved_along_fringes(
+    position: _Triple, rotation: _Triple, distance: float, *, vertical: bool
+) -> tuple[_Triple, _Triple]:
+    """Return position and rotation of a projector that is moved along its own fringes [m], its axes parallel.
+
+    Without distortion this changes no phase, so that a fit is not bent by it.
+    """
+    axes = projector_axes(position, rotation)
+    x, y, z = (np.array(position) + distance * axes[:, 1 if vertical else 0]).tolist()
+    turned = projector_axes((x, y, z), (0.0, 0.0, 0.0)).T @ axes
+    yaw = math.atan2(turned[0, 2], turned[2, 2])
+    nod = -math.asin(max(-1.0, min(1.0, turned[1, 2])))
+    return (x, y, z), (yaw, nod, math.atan2(turned[1, 0], turned[1, 1]))
 
 
 def check_size(camera: Camera, distance: float) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from fringedic.calibration.check import CheckVerdict, RigCheck
-from fringedic.calibration.findings import CalibrationWarning, CheckProblem, CheckWarning, ImageProblem
+from fringedic.calibration.findings import Action, CalibrationWarning, CheckProblem, CheckWarning, ImageProblem
 from fringedic.calibration.fit_results import Candidate, PlaneResult, Reason
 from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.placement import PlaneKind
@@ -104,19 +104,10 @@ def model_choice_sentence(calibration: RigCalibration) -> str:
             f"The residual of the six-parameter model is {six}, that of the general model {general} ({noise}): the "
             "data do not support more than the six parameters."
         )
-    words = (
-        f"The residual of the six-parameter model is {six}; with free direction and roll of the projector and a free "
-        f"rotation axis it is {general} ({noise})."
+    return (
+        f"The residual of the six-parameter model is {six}; with a free direction of the projector, the distortion of "
+        f"its lens and a free rotation axis it is {general} ({noise})."
     )
-    if calibration.variant.has_k1:
-        words += f" With the projector's radial distortion it is {_left(found[ModelVariant.GENERAL_K1])}."
-    else:
-        words += " The data do not support a distortion of the projector."
-    if calibration.variant.has_centre:
-        words += f" With a free centre of the distortion it is {_left(found[calibration.variant])}."
-    if calibration.variant.has_five:
-        words += f" With its five coefficients (Brown) it is {_left(found[calibration.variant])}."
-    return words
 
 
 def check_in_words(check: RigCheck) -> str:
@@ -209,6 +200,10 @@ _REASONS: dict[Reason, Callable[[RigCalibration], str]] = {
         f"{_micro(calibration.systematic)} ({_noise(calibration.predicted)}): their angles are wrong, the rig "
         "moved, or there are too few planes in the fit."
     ),
+    Reason.NOT_CONVERGED: lambda _: (
+        "The planes do not determine the rig: the search for its parameters did not end. Measure more planes, at "
+        "angles of 10 to 20 degree to both sides."
+    ),
     Reason.UNCERTAIN_HEIGHT: lambda calibration: (
         f"The standard uncertainty of z due to the calibration is {_micro(calibration.height_sigma)} "
         f"({_noise(calibration.predicted)}): use more planes or larger angles."
@@ -265,6 +260,20 @@ def _contradiction(finding: Finding) -> str:
         f"{contradiction_text(stated, apparent, values['residual'])} If only the angles are inaccurate, state the "
         "standard uncertainty of the stage as sigma_angle_degree"
     )
+
+
+_ACTIONS = {
+    Action.GRIDS: "images of the grid on the plane at 0 degree and tilted to both sides reduce",
+    Action.ANGLES: "planes at angles up to twice as large reduce",
+    Action.PLANES: "twice as many planes reduce",
+}
+
+
+def _improvement(values: Mapping[str, float], unit: float) -> str:
+    """Return what reduces an uncertainty most, and to which value; empty for files that do not contain it."""
+    if "action" not in values:
+        return ""
+    return f": {_ACTIONS[Action(int(values['action']))]} this most, to {number_text(values['reduced'] / unit, 2)} µm"
 
 
 _FINDINGS: dict[str, Callable[[Finding], str]] = {
@@ -336,7 +345,18 @@ _FINDINGS: dict[str, Callable[[Finding], str]] = {
     CalibrationWarning.NOT_TESTED: lambda _: "no plane at a position of its own was kept out of the fit to test it",
     CalibrationWarning.UNCERTAIN_HEIGHT: lambda finding: (
         f"the calibration leaves z uncertain by up to {_micro(finding.values['sigma'], 3)}, more than the noise of a "
-        "pixel: use more planes or larger angles"
+        f"pixel{_improvement(finding.values, 1e-6)}"
+    ),
+    CalibrationWarning.NOT_CONVERGED: lambda _: "the search for the parameters of the rig did not end",
+    CalibrationWarning.UNEXPLAINED: lambda finding: (
+        "no model of a rig explains the phases within their noise: neighbouring parts of the image err together, so "
+        f"that {finding.values['blocks']:.0f} count as one (pattern of the projector's pixels, response, a plane that "
+        f"is not flat). The stated uncertainty contains this: {number_text(1e3 * finding.values['sigma'], 2)} µm in u "
+        "or v for each millimetre of motion towards the camera"
+    ),
+    CalibrationWarning.UNCERTAIN_MOTION: lambda finding: (
+        f"the calibration leaves u and v uncertain by {number_text(1e3 * finding.values['sigma'], 2)} µm for each "
+        f"millimetre of motion towards the camera{_improvement(finding.values, 1e-3)}"
     ),
     CalibrationWarning.DRIFT: lambda finding: (
         f"the rig moved by {_UM * finding.values['change']:.2f} µm RMS while it was calibrated, more than the noise of "

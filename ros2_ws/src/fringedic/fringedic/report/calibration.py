@@ -15,6 +15,7 @@ from fringedic.calibration.sentences import (
     warning_sentences,
 )
 from fringedic.calibration.traceability import Traceability
+from fringedic.calibration.uncertainty import motion_sigma
 from fringedic.calibration.variants import ModelVariant
 from fringedic.report.entries import MISSING
 from fringedic.report.templates import base64_png, render_page
@@ -114,10 +115,7 @@ def write_calibration_report(
 
 _MODELS = {
     ModelVariant.SIX_PARAMETER: "six-parameter model (Molimard; Breque)",
-    ModelVariant.GENERAL: "general: free direction and roll of the projector, free rotation axis",
-    ModelVariant.GENERAL_K1: "... and the projector's radial distortion",
-    ModelVariant.GENERAL_K1_Y: "... and the centre of this distortion along the fringes",
-    ModelVariant.GENERAL_BROWN: "... or the five coefficients of this distortion (Brown)",
+    ModelVariant.GENERAL: "general: free direction and lens distortion (Brown) of the projector, free rotation axis",
 }
 _COLOURS = {Verdict.GO: "green", Verdict.GO_WITH_CARE: "yellow", Verdict.NO_GO: "red"}
 
@@ -147,6 +145,11 @@ def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
             "Uncertainty of z due to the calibration",
             f"up to {_micro(calibration.height_sigma)}",
             "Standard deviation due to the noise of the calibration planes, within the calibrated volume.",
+        ),
+        (
+            "Uncertainty of u and v due to the calibration",
+            f"{number_text(1e3 * motion_sigma(calibration.model, calibration.orientation), 2)} µm per mm",
+            "Standard uncertainty of the displacement in the plane for each millimetre of motion towards the camera.",
         ),
         (
             "chi square of the block means",

@@ -144,15 +144,7 @@ class RigGeometry:
     @property
     def projector_axes(self) -> np.ndarray:
         """Rotation matrix (3, 3): its columns are the projector's right, up and backward axes in the rig frame."""
-        x, y, z = forward = -np.array(self.projector_position) / np.linalg.norm(self.projector_position)
-        right = np.array([-z, 0.0, x])  # horizontal: forward x (0, 1, 0)
-        right /= np.linalg.norm(right)
-        # written out, because np.cross takes longer than the phases of a plane
-        up = np.array([-right[2] * y, right[2] * x - right[0] * z, right[0] * y])
-        attitude = np.stack([right, up, -forward], axis=1)
-        yaw, pitch, roll = self.projector_rotation
-        axes: np.ndarray = attitude @ _rotation_y(yaw) @ _rotation_x(pitch) @ _rotation_z(roll)
-        return axes
+        return projector_axes(self.projector_position, self.projector_rotation)
 
     def phase(
         self, x: ArrayLike, y: ArrayLike, z: ArrayLike, pitch: float, orientation: Orientation = Orientation.VERTICAL
@@ -274,6 +266,27 @@ def _field_of(name: str) -> tuple[str, int | None]:
     if name not in PARAMETERS:
         raise CalibrationError(f"covariance of '{name}': known parameters are {', '.join(PARAMETERS)}")
     return PARAMETERS[name]
+
+
+def projector_axes(position: Sequence[float], rotation: Sequence[float]) -> np.ndarray:
+    """Return the projector's right, up and backward axes in the rig frame as columns (3, 3).
+
+    Parameters
+    ----------
+    position
+        Of the projector [m]; without rotation it looks at the origin.
+    rotation
+        Yaw, pitch and roll [rad].
+    """
+    x, y, z = forward = -np.asarray(position) / np.linalg.norm(position)
+    right = np.array([-z, 0.0, x])  # horizontal: forward x (0, 1, 0)
+    right /= np.linalg.norm(right)
+    # written out, because np.cross takes longer than the phases of a plane
+    up = np.array([-right[2] * y, right[2] * x - right[0] * z, right[0] * y])
+    attitude = np.stack([right, up, -forward], axis=1)
+    yaw, pitch, roll = rotation
+    axes: np.ndarray = attitude @ _rotation_y(yaw) @ _rotation_x(pitch) @ _rotation_z(roll)
+    return axes
 
 
 def _rotation_x(angle: float) -> np.ndarray:

@@ -1,10 +1,12 @@
 """Propagation of the calibration's covariance to measured positions, J Sigma_p J^T, with numerical derivatives.
 
 The covariance of the parameters is split into its principal directions, Sigma_p = sum l l^T. The parameters are moved
-by one standard deviation along each direction l, and the line of sight is intersected with the fringe again at the same
-pixel and phase. The position moves by J l = (P(p + l) - P(p - l)) / 2, up to third order. Sums of squares over the
-directions are variances (JCGM 102:2011, propagation of uncertainty); differences between two points give the error of a
-displacement.
+by a small part e of the standard deviation along each direction l, and the line of sight is intersected with the fringe
+again at the same pixel and phase: J l = (P(p + e l) - P(p - e l)) / 2 e. Sums of squares over the directions are
+variances (JCGM 102:2011, propagation of uncertainty); differences between two points give the error of a displacement.
+
+Steps are small because camera, projector and the centre of its lens may turn together with hardly any effect on the
+phases. Such parameters follow a curve, and a step of a whole standard deviation along its tangent leaves it.
 """
 
 from __future__ import annotations
@@ -20,11 +22,12 @@ from fringedic.rig.geometry import RigGeometry, parameter_values, with_parameter
 from fringedic.rig.projector_lens import distorted
 
 # test_sigma_of_float32_images_and_crops: interpolation on this grid reproduces the sigma of every pixel within 2 %
-GRID = 48  # intervals of the variance map along each side of the image
+GRID = 64  # intervals of the variance map along each side of the image
 HEIGHT_RANGE = 0.1  # of the camera's distance, on both sides of the reference plane; the map is clamped beyond it
-HEIGHT_POWERS = 5  # a variance grows with about the fourth power of the height
-_HEIGHTS = 9  # Chebyshev nodes, for a polynomial of five coefficients
+HEIGHT_POWERS = 11  # errors are polynomials of about the fifth degree, variances their squares
+_HEIGHTS = 15  # Chebyshev nodes of the height
 _SMALLEST = 1e-30  # [m^2] avoids a division by zero; (1e-15 m)^2 is far below every measured variance
+_PART = 1e-2  # of a standard deviation: rounding and third order are below 1e-4 of an error
 _NEGLIGIBLE = 1e-13  # of the largest variance among the directions: rounding errors of the eigenvalues
 _NEWTON_STEPS = 4  # converges quadratically from the undistorted intersection
 _PITCH = 1.0  # [projector px] cancels: phases are predicted and used with the same pitch
@@ -84,7 +87,8 @@ def position_errors(
             t = t - (seen - target) / (by_m * m_t + by_n * n_t)
         return np.moveaxis(camera + t[..., None] * rays, -1, 0)
 
-    errors = [(position(centre + step) - position(centre - step)) / 2 for step in _directions(geometry)]
+    steps = _PART * _directions(geometry)
+    errors = [(position(centre + step) - position(centre - step)) / (2 * _PART) for step in steps]
     return np.array(errors).reshape(-1, 3, *column.shape)
 
 
@@ -127,8 +131,8 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
     Returns
     -------
     coefficients : ndarray
-        float64, shape (49, 49, 3, 5): coefficients of the powers of z / scale of the variances of x, y and z [m^2], on
-        a regular grid of 49 x 49 points from the first to the last pixel of the image.
+        float64, shape (65, 65, 3, 11): coefficients of the powers of z / scale of the variances of x, y and z [m^2], on
+        a regular grid of 65 x 65 points from the first to the last pixel of the image.
     scale : float
         Unit of the heights [m]; the polynomials hold for |z| <= scale.
     """

@@ -18,9 +18,10 @@ import pytest
 import xarray as xr
 
 from fringedic.calibration import RigCalibration, Verdict, calibrate_rig
-from fringedic.calibration.findings import CalibrationWarning
+from fringedic.calibration.findings import Action, CalibrationWarning
 from fringedic.calibration.fit_results import Reason
 from fringedic.calibration.sentences import in_force_words, problem_sentence, verdict_sentence, warning_sentences
+from fringedic.calibration.uncertainty import motion_sigma
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
 from fringedic.configuration.calibration_section import calibration_metadata
@@ -171,7 +172,6 @@ def test_exact_phases_give_exact_heights(name: str) -> None:
     assert error < 0.05e-6, f"{1e6 * error:.3f} µm"
     assert calibration.go, verdict_sentence(calibration)
     assert calibration.chosen == ("six_parameter" if name == "ideal" else "general")
-    assert calibration.variant.has_five == (name == "five")
     assert calibration.held_out < 0.05e-6
 
 
@@ -234,7 +234,13 @@ def test_a_known_pin_hole_frees_tilt_and_principal_column() -> None:
     model, error = found.model, bench.sphere_error(found)
     assert abs(model.projector_principal_column - 407) < 0.1
     assert error < 0.05e-6
-    sigma = dict(zip(model.parameter_names, np.sqrt(np.diag(np.reshape(model.covariance, (-1, 12)))), strict=True))
+    sigma = dict(
+        zip(
+            model.parameter_names,
+            np.sqrt(np.diag(np.reshape(model.covariance, (len(model.parameter_names),) * 2))),
+            strict=True,
+        )
+    )
     assert sigma["camera_tilt_x"] == pytest.approx(5e-6 / distance, rel=0.05)
     assert CalibrationWarning.TILT_FROM_ONE_PLANE not in codes(found)
     assert CalibrationWarning.TILT_FROM_ONE_PLANE in codes(bench.calibrate(phases))
@@ -250,9 +256,11 @@ def test_distances_scale_with_the_pixel_size(misaligned: tuple[Bench, list[np.nd
     bench, phases = misaligned
     calibration = bench.calibrate(noisy(phases, 1), sigma_pixel_size=400e-9)
     sigma = np.sqrt(np.diag(np.reshape(calibration.model.covariance, (len(calibration.model.parameter_names),) * 2)))
-    for name, relative in (("camera_distance", 1e-3), ("pixel_size", 1e-3), ("projector_x", 1e-3)):
+    for name in ("camera_distance", "pixel_size"):
         found = sigma[calibration.model.parameter_names.index(name)] / parameter_values(calibration.model, [name])[0]
-        assert abs(found) == pytest.approx(relative, rel=0.01), name
+        assert found == pytest.approx(1e-3, rel=0.01), name
+    errors = position_errors(calibration.model, 80.0, 60.0, 0.02)
+    assert math.sqrt(float(np.sum(errors[:, 2] ** 2))) == pytest.approx(1e-3 * 0.02, rel=0.01)
 
 
 def test_unknown_tilt_is_sought_and_said(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
@@ -261,6 +269,57 @@ def test_unknown_tilt_is_sought_and_said(misaligned: tuple[Bench, list[np.ndarra
     assert CalibrationWarning.TILT_UNKNOWN in codes(calibration)
     error = bench.sphere_error(calibration)
     assert error < 4 * calibration.height_sigma, f"{1e6 * error:.3f} µm for {1e6 * calibration.height_sigma:.3f} µm"
+
+
+def test_the_measurement_that_reduces_the_uncertainty_most(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    """Without a grid it is the grid, and the stated uncertainty after it is that of a calibration with it."""
+    bench, phases = misaligned
+    alone = bench.calibrate(noisy(phases, 2), plane=None)
+    values = {each.code: each.values for each in alone.warnings}[CalibrationWarning.UNCERTAIN_MOTION]
+    assert values["sigma"] == pytest.approx(math.radians(1), rel=0.1)  # the prior of the tilt
+    assert Action(int(values["action"])) is Action.GRIDS
+    distance = alone.model.camera_distance
+    located = PinHole(distance, 0.0, 0.0, (distance * np.diag([1e-4, 5e-5, 5e-5])) ** 2)
+    with_grids = bench.calibrate(noisy(phases, 2), plane=dataclasses.replace(bench.view(), pin_hole=located))
+    assert motion_sigma(with_grids.model, Orientation.VERTICAL) == pytest.approx(values["reduced"], rel=0.2)
+    assert CalibrationWarning.UNCERTAIN_MOTION not in codes(with_grids)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2])
+def test_narrow_angles_converge(misaligned: tuple[Bench, list[np.ndarray]], share: float) -> None:
+    """Planes within 1.5 and 3 degrees of each other determine the rig badly: its valley is long, not its error."""
+    bench, _ = misaligned
+    calibration = bench.calibrate(noisy(bench.planes(share * ANGLES), 1), share * ANGLES)
+    assert calibration.go, verdict_sentence(calibration)
+    assert calibration.chi_square == pytest.approx(1, abs=0.1)
+    assert bench.sphere_error(calibration) < 2e-6
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(-0.15, 0.0), (-0.15, 0.5), (0.0, 0.0)])
+def test_a_rolled_camera_without_grid_states_its_tilt(k1: float, k2: float) -> None:
+    """Phases of a formula: the fit with too few terms of the lens stated a tilt of -2.1 +- 0.14 degree."""
+    width, height, size, distance, focal_length = 320, 240, 2e-4, 0.4, 3400.0
+    c, s = math.cos(math.radians(5)), math.sin(math.radians(5))
+    column, row = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
+    rays = size / distance * (column[..., None] * [c, -s, 0.0] + row[..., None] * [-s, -c, 0.0]) + [0.0, 0.0, -1.0]
+    projector = np.array([0.38 * math.tan(math.radians(35)), 0.0, 0.38])
+    forward = -projector / np.linalg.norm(projector)
+    right = np.array([1.0, 0.0, 0.0]) - forward[0] * forward
+    right /= np.linalg.norm(right)
+    phases, angles = [], np.radians([-12.0, -8.0, -4.0, 0.0, 4.0, 8.0, 12.0])
+    for angle in angles:
+        along = -distance / (rays[..., 2] - math.tan(angle) * rays[..., 0])
+        seen = [0.0, 0.0, distance] + along[..., None] * rays - projector
+        x, y = seen @ right / (seen @ forward), seen @ np.cross(forward, right) / (seen @ forward)
+        square = x * x + y * y
+        phases.append(2 * math.pi * focal_length / PITCH * x * (1 + square * (k1 + k2 * square)))
+    calibration = calibrate_rig(
+        noisy(phases, 1), angles, size, pitch=PITCH, projector_size=(800, 600), sigma=[np.full_like(column, NOISE)] * 7
+    )
+    for parameter in calibration.parameters:
+        if parameter.name in ("camera_tilt_x", "camera_tilt_y"):
+            assert abs(parameter.value) < 3 * parameter.sigma, parameter
+            assert parameter.sigma < 1.1, parameter
 
 
 @pytest.mark.slow
@@ -312,7 +371,9 @@ def test_stage_errors_are_parameters_with_priors() -> None:
     careful = bench.calibrate(phases, sigma_angle=sigma)
     assert careful.systematic < 0.2 * trusting.systematic
     assert careful.chi_square == pytest.approx(1, abs=0.1)
-    assert careful.height_sigma > 5 * trusting.height_sigma
+    for calibration in (trusting, careful):
+        error = bench.sphere_error(calibration)
+        assert error < 4 * calibration.height_sigma, f"{1e6 * error:.3f} µm for {1e6 * calibration.height_sigma:.3f} µm"
 
 
 def test_files_hold_everything(tmp_path: Path, misaligned: tuple[Bench, list[np.ndarray]]) -> None:
@@ -381,7 +442,7 @@ def test_files_of_version_1_hold_sentences(tmp_path: Path) -> None:
     assert (read.verdict, read.go, read.reason) == (Verdict.NO_GO, False, Reason.BAD_IMAGE)
     assert read.summary.startswith("NO-GO. image 3 (angle -5 degree): the plane stands at -4.00 degree")
     assert (read.model.model, read.chosen, read.variant) == (*["six_parameter"] * 2, ModelVariant.SIX_PARAMETER)
-    assert [each.name for each in read.candidates] == list(ModelVariant)[:3]
+    assert [each.name for each in read.candidates] == [ModelVariant.SIX_PARAMETER, *[ModelVariant.GENERAL] * 2]
     assert read.bad_images == ("image 3 (angle -5 degree)",)
     assert problem_sentence(read.planes[2]).startswith("the plane stands at -4.00 degree, not at -5")
     assert [each.code for each in read.warnings] == [CalibrationWarning.TEXT] * 4

@@ -1,0 +1,103 @@
+"""Least squares along curved valleys: Levenberg-Marquardt with geodesic acceleration (Transtrum and Sethna 2012).
+
+Camera, projector and the centre of its lens may turn together with hardly any effect on the phases. A straight step
+along such a valley leaves it by its curvature, so that the plain method makes thousands of tiny steps. Here each step
+is bent by the second derivative along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+_DAMPING = 1e-3  # at the start, of the squares of the singular values of the scaled Jacobian
+_SMALLER, _LARGER = 5.0, 3.0  # factors of the damping after a good and a bad step
+_MOST_DAMPING = 1e12
+_BEND = 0.1  # part of a step at which its second derivative is taken
+_MOST_BENT = 0.75  # a step is good when its bend is at most this part of it
+_CONVERGED = 1e-3  # of chi square: parameters are within .03 of their standard deviation
+
+
+class Minimum(NamedTuple):
+    """Where the sum of squares is smallest, the residuals and their derivatives there.
+
+    ``converged`` is False when the steps ended before.
+    """
+
+    x: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    converged: bool
+
+
+def minimise(
+    residuals: Callable[[np.ndarray], np.ndarray],
+    jacobian: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    most_steps: int,
+) -> Minimum:
+    """Return the minimum of a sum of squares.
+
+    Parameters
+    ----------
+    residuals, jacobian
+        Functions of the variables (n,): residuals in units of their standard deviation (m,), and their derivatives
+        (m, n).
+    start
+        First values of the variables, (n,).
+    most_steps
+        The search ends after so many steps.
+
+    References
+    ----------
+    M. K. Transtrum, J. P. Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares
+    minimization", arXiv:1201.5885 (2012).
+
+    Examples
+    --------
+    Rosenbrock's valley:
+
+    >>> found = minimise(
+    ...     lambda x: np.array([1e4 * (x[1] - x[0] ** 2), 1 - x[0]]),
+    ...     lambda x: np.array([[-2e4 * x[0], 1e4], [-1.0, 0.0]]),
+    ...     np.array([-2.0, 4.0]),
+    ...     most_steps=40,
+    ... )
+    >>> found.x.round(4).tolist()
+    [1.0, 1.0]
+    """
+    x = np.array(start, float)
+    residual = residuals(x)
+    cost, damping = residual @ residual, _DAMPING
+    slopes, converged = jacobian(x), False
+    for _ in range(most_steps):
+        unit = np.linalg.norm(slopes, axis=0)
+        unit = np.where(unit > 0, unit, 1.0)
+        left, singular, right = np.linalg.svd(slopes / unit, full_matrices=False)
+        seen = singular > np.finfo(float).eps * len(residual) * singular[0]
+        converged = bool(np.sum((left.T @ residual)[seen] ** 2) < _CONVERGED)
+        if converged:
+            break
+
+        def solve(values: np.ndarray) -> np.ndarray:
+            step: np.ndarray = -right.T @ (singular / (singular**2 + damping) * (left.T @ values))  # noqa: B023
+            return step
+
+        while damping < _MOST_DAMPING:
+            step = solve(residual)
+            ahead = residuals(x + _BEND * step / unit)
+            curvature = 2 / _BEND * ((ahead - residual) / _BEND - slopes @ (step / unit))
+            bend = solve(curvature)
+            reached = x + (step + 0.5 * bend) / unit
+            found = residuals(reached)
+            if np.linalg.norm(bend) <= _MOST_BENT * np.linalg.norm(step) and found @ found < cost:
+                break
+            damping *= _LARGER
+        else:
+            converged = True  # no step is downhill: rounding errors are larger than what remains
+            break
+        x, residual, cost, damping = reached, found, found @ found, damping / _SMALLER
+        slopes = jacobian(x)
+    return Minimum(x, residual, slopes, converged)
