@@ -32,8 +32,8 @@ def strain_of_step(dataset: xr.Dataset, window: int, *, step: int = -1, measures
     Uncertainties, discontinuities and virtual strain gauge are those of the run; for its window all maps are equal to
     the recorded ones, to the rounding of float32. The correlation of errors by a sparse texture is known for the window
     of the run only and is taken from its uncertainties: on skin sigmas of windows from 21 to 171 px differ by up to 9 %
-    by that. Datasets of earlier versions do not contain the noise of the
-    heights: the strain has no uncertainty and is not masked at discontinuities until they are processed again.
+    by that. Datasets of earlier versions do not contain the noise of the heights: the strain has no uncertainty and is
+    not masked at discontinuities until they are processed again.
 
     Parameters
     ----------
