@@ -79,9 +79,9 @@ def calibrate_rig(  # noqa: PLR0913 - the public function: every keyword is one 
 ) -> RigCalibration:
     """Calibrate the rig by known rotations of the reference plane (Breque 2004), known translations, or both.
 
-    A closed form gives the six-parameter model, which is refined by least squares. A general pin-hole projector with a
-    free rotation axis, its radial distortion and the centre of this distortion are added as far as the information
-    criterion supports them. No starting values are needed.
+    A closed form gives the six-parameter model, which is refined by least squares. The general model has a pin-hole
+    projector of free direction with the distortion of its lens, and a free rotation axis; what the planes do not
+    determine keeps its prior. The information criterion compares both. No starting values are needed.
 
     Parameters
     ----------

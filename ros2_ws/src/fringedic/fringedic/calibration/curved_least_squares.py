@@ -80,16 +80,12 @@ def minimise(
         converged = bool(np.sum((left.T @ residual)[seen] ** 2) < _CONVERGED)
         if converged:
             break
-
-        def solve(values: np.ndarray) -> np.ndarray:
-            step: np.ndarray = -right.T @ (singular / (singular**2 + damping) * (left.T @ values))  # noqa: B023
-            return step
-
         while damping < _MOST_DAMPING:
-            step = solve(residual)
+            damped = singular / (singular**2 + damping)
+            step = -right.T @ (damped * (left.T @ residual))
             ahead = residuals(x + _BEND * step / unit)
             curvature = 2 / _BEND * ((ahead - residual) / _BEND - slopes @ (step / unit))
-            bend = solve(curvature)
+            bend = -right.T @ (damped * (left.T @ curvature))
             reached = x + (step + 0.5 * bend) / unit
             found = residuals(reached)
             if np.linalg.norm(bend) <= _MOST_BENT * np.linalg.norm(step) and found @ found < cost:

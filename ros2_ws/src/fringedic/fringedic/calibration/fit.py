@@ -20,7 +20,6 @@ from fringedic.calibration.curved_least_squares import minimise
 from fringedic.calibration.geometry import (
     AXIS,
     GENERAL,
-    LENS,
     SCALES,
     SIX_PARAMETERS,
     Camera,
@@ -248,7 +247,7 @@ def parameters_of(
     if variant is ModelVariant.SIX_PARAMETER:
         names = tuple(name for name in SIX_PARAMETERS if turned or name != "axis_position")
         return (*names, *stage_errors)
-    names = GENERAL + LENS + (AXIS if turned else ())
+    names = GENERAL + (AXIS if turned else ())
     names += ("camera_tilt_x", "camera_tilt_y") if tilts else ()
     names += ("projector_principal",) if principal else ()
     return (*names, *stage_errors)

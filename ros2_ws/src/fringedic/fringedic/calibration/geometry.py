@@ -70,9 +70,13 @@ GENERAL = (
     "projector_turn",
     "projector_nod",
     "projector_roll",
+    "projector_k1",
+    "projector_k2",
+    "projector_k3",
+    "projector_p1",
+    "projector_p2",
+    "projector_along",  # shifts the centre of the distortion, and without distortion nothing
 )
-# The position along the fringes shifts the centre of the distortion, and without distortion nothing.
-LENS = ("projector_k1", "projector_k2", "projector_k3", "projector_p1", "projector_p2", "projector_along")
 AXIS = ("axis_across", "axis_height", "axis_skew", "axis_slope")
 
 

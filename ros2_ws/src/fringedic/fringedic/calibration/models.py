@@ -43,7 +43,7 @@ _AXIS_POSITION = {"axis_across": 0.1, "axis_height": 0.25}
 _ALONG = 0.1  # standard uncertainty of the projector's position along the fringes, over the camera's distance
 # The variance of the phases is multiplied by these factors first. As long as the priors hold the parameters which the
 # planes determine least, the others approach their values, and the curved valleys of the sum of squares become short.
-_CONTINUATION = (1e6, 1e3)
+_CONTINUATION = (1e6, 1e3, 1.0)
 _ROUGH = 7  # every such block suffices to find an outlier; a prime, so that it selects no column of blocks
 _ROUGH_STEPS = 30  # suffice for residuals; what moves along a valley of the sum of squares later changes none of them
 
@@ -99,8 +99,8 @@ class ModelFitter:
             There is no start.
         """
         six = self._fit_six(planes)
-        near = self.fit_roughly(planes, MOST_STEPS)
-        best = self._fit(ModelVariant.GENERAL, planes, near.values, most_steps=_ROUGH_STEPS)
+        near = self.fit_roughly(planes).values
+        best = self._fit(ModelVariant.GENERAL, planes, near, most_steps=_ROUGH_STEPS)
         correlation = residual_correlation([self.residual(best, plane) for plane in planes])
         starts = {ModelVariant.SIX_PARAMETER: six.values, ModelVariant.GENERAL: best.values}
         return {
@@ -116,7 +116,12 @@ class ModelFitter:
         deviation: np.ndarray = (blocks.phase - predicted) / blocks.sigma
         return deviation
 
-    def fit_roughly(self, planes: Sequence[int], most_steps: int = _ROUGH_STEPS) -> Solution:
+    @cached_property
+    def _rough_fits(self) -> dict[tuple[int, ...], Solution]:
+        """The quick fits so far, by their planes: the search for outliers and the fit itself need the same one."""
+        return {}
+
+    def fit_roughly(self, planes: Sequence[int]) -> Solution:
         """Return a quick fit of the general model, from a part of the blocks.
 
         Raises
@@ -124,10 +129,14 @@ class ModelFitter:
         CalibrationError
             There is no start.
         """
-        values = self._general_start(self._fit_six(planes, _ROUGH), planes)
-        for correlation in _CONTINUATION:
-            values = self._fit(ModelVariant.GENERAL, planes, values, _ROUGH, correlation, _ROUGH_STEPS).values
-        return self._fit(ModelVariant.GENERAL, planes, values, _ROUGH, most_steps=most_steps)
+        chosen = tuple(planes)
+        if chosen not in self._rough_fits:
+            values = self._general_start(self._fit_six(planes, _ROUGH), planes)
+            for correlation in _CONTINUATION:
+                fitted = self._fit(ModelVariant.GENERAL, planes, values, _ROUGH, correlation, _ROUGH_STEPS)
+                values = fitted.values
+            self._rough_fits[chosen] = fitted
+        return self._rough_fits[chosen]
 
     def principal_effect(self, variant: ModelVariant, planes: Sequence[int], solution: Solution) -> float:
         """Return the effect on z of one pixel of the projector's assumed principal point, RMS over the planes [m].
@@ -223,7 +232,6 @@ def choose_model(fits: Mapping[ModelVariant, Solution], family: str | None) -> M
     family
         ``"six_parameter"`` or ``"general"``; None compares both.
     """
-    allowed = [ModelVariant.SIX_PARAMETER, ModelVariant.GENERAL]
     if family is not None:
-        allowed = [variant for variant in allowed if variant == family]
-    return min(allowed, key=lambda variant: information_criterion(fits[variant], fits[variant].correlation))
+        return ModelVariant(family)
+    return min(fits, key=lambda variant: information_criterion(fits[variant], fits[variant].correlation))

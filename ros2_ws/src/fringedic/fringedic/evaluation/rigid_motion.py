@@ -96,13 +96,11 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     else:
         fields = {}
         moved = {name: sign * left[:, place] / motion.scale for place, (name, sign) in enumerate(_IN_IMAGE.items())}
+    if motion.sigmas:  # of images alone there are two
+        moved |= dict(zip(motion.sigmas, np.array(uncertain).swapaxes(0, 1) / motion.scale, strict=False))
     shape = tuple(dataset[next(iter(moved))].dims)
     for name, values in moved.items():
         fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
-    if motion.sigmas:
-        for name, sigma in zip(motion.sigmas, np.array(uncertain).swapaxes(0, 1), strict=False):
-            values = sigma / motion.scale
-            fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
     axes = ("step", "axis") if stepwise else ("axis",)
     for name, unit, table in (("rotation", "rad", rotations), ("translation", motion.unit, translations)):
         fields[name] = (axes, table if stepwise else table[0], {"units": unit})

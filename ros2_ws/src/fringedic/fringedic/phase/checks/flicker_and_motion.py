@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri  # scipy.stats takes each node half a second to load
@@ -109,10 +110,7 @@ def _significant_findings(
 ) -> list[Finding]:
     """Return the changes that are large enough for a finding and exceed their noise; `room`: see `_fit_changes`."""
     count, light = changes.frames, changes.light
-    # eq. 11 of the light's change: sin(angle - phi) / B, times the model
-    shown = np.broadcast_to(fringes.fit[0], fringes.model.shape) if room else fringes.model
-    error = np.einsum("kp,kp,k->p", fringes.quadrature, shown, -2 / count * light) / fringes.modulation**2
-    rms = float(np.std(error)) / (2 * np.pi)
+    rms = float(np.std(phase_changes(fringes, room=room) @ light)) / (2 * np.pi)
     flicker = Finding(
         FindingKind.ROOM_LIGHT if room else FindingKind.FLICKER,
         rms > largest_error,
@@ -252,42 +250,38 @@ def without_changes(sample: Sample, camera: CameraNoise) -> list[Sample]:
 
 @dataclass(frozen=True)
 class Fringes:
-    """The fringes of a pitch at the sampled pixels: levels and fitted sinusoids (frame, pixel), modulation (pixel,)."""
+    """The fringes of a pitch at the sampled pixels."""
 
     where: slice  # of the frames in the stack
     angles: np.ndarray
-    levels: np.ndarray
-    fit: np.ndarray
-    model: np.ndarray
-    quadrature: np.ndarray  # B sin(phi - 2 pi k/q)
-    modulation: np.ndarray
+    levels: np.ndarray  # (frame, pixel)
+    fit: np.ndarray  # mean, cosine and sine part of the sinusoid of each pixel
 
     @classmethod
     def of(cls, sample: Sample, number: int = -1) -> Fringes:
         """Return those of a pitch, of the finest one by default."""
-        angles, fit, where = sample.angles[number], sample.fits[number], sample.layout.slices()[number]
-        return cls(
-            where=where,
-            angles=angles,
-            levels=sample.levels[where],
-            fit=fit,
-            model=wave_levels(fit, angles),
-            quadrature=np.outer(np.cos(angles), fit[2]) - np.outer(np.sin(angles), fit[1]),
-            modulation=np.hypot(fit[1], fit[2]),
-        )
+        where = sample.layout.slices()[number]
+        return cls(where, sample.angles[number], sample.levels[where], sample.fits[number])
+
+    @cached_property
+    def model(self) -> np.ndarray:
+        """Fitted sinusoids, shape (frame, pixel)."""
+        return wave_levels(self.fit, self.angles)
+
+    @cached_property
+    def quadrature(self) -> np.ndarray:
+        """B sin(phi - 2 pi k/q), shape (frame, pixel)."""
+        return np.outer(np.cos(self.angles), self.fit[2]) - np.outer(np.sin(self.angles), self.fit[1])
+
+    @cached_property
+    def modulation(self) -> np.ndarray:
+        """B, shape (pixel,)."""
+        return np.asarray(np.hypot(self.fit[1], self.fit[2]))
 
     def with_gains(self, gains: np.ndarray) -> Fringes:
         """Return the fringes with the grey levels of each frame divided by its gain."""
         levels = self.levels / gains[:, None].astype(np.float32)
-        fit = fit_wave(levels, self.angles)
-        return replace(
-            self,
-            levels=levels,
-            fit=fit,
-            model=wave_levels(fit, self.angles),
-            quadrature=np.outer(np.cos(self.angles), fit[2]) - np.outer(np.sin(self.angles), fit[1]),
-            modulation=np.hypot(fit[1], fit[2]),
-        )
+        return replace(self, levels=levels, fit=fit_wave(levels, self.angles))
 
 
 @dataclass(frozen=True)
@@ -373,9 +367,13 @@ class _Equations:
         return int(np.linalg.matrix_rank(self.normal[np.ix_(columns, columns)], rtol=_RANK, hermitian=True))
 
 
-def phase_changes(fringes: Fringes) -> np.ndarray:
-    """Return the change of the phase [rad] by the gain of each frame, shape (pixel, frame) (eq. 11)."""
-    return np.asarray((-2 / len(fringes.angles) * fringes.quadrature * fringes.model / fringes.modulation**2).T)
+def phase_changes(fringes: Fringes, *, room: bool = False) -> np.ndarray:
+    """Return the change of the phase [rad] by that of the light in each frame, shape (pixel, frame) (eq. 11).
+
+    `room`: the light of the room changes, which adds to all fringes alike, not that of the projector.
+    """
+    lit = fringes.fit[0] if room else fringes.model
+    return np.asarray((-2 / len(fringes.angles) * fringes.quadrature * lit / fringes.modulation**2).T)
 
 
 def _row_courses(sample: Sample) -> np.ndarray:
@@ -523,7 +521,7 @@ def _shifts(sample: Sample, fringes: Fringes) -> int:
 
 
 def _add_circle_condition(normal: np.ndarray, right: np.ndarray, sample: Sample, fringes: Fringes) -> None:
-    """Add what the centre of the circle tells of the changes, see `circle_centre`."""
+    """Add the equations of the changes that follow from the centre of the circle, see `circle_centre`."""
     count = len(fringes.angles)
     values, covariance = circle_centre(sample, fringes)
     courses = np.zeros((len(values), len(right)))

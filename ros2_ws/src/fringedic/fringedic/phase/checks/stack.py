@@ -150,13 +150,9 @@ def find_gains(
     none = Gains(np.ones(len(patterns)), [np.zeros((count, count)) for count in layout.counts], None)
     if min(frames.shape[1:]) < _SMALLEST_SIDE:
         return none
-    region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
-    sample = Sample.from_stack(frames, layout, region=region)
-    ceiling = saturation_level(frames, settings.saturation)
-    usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
+    sample, _, usable = _sample_pixels(frames, layout, settings)
     if 0 < usable.mean() < _SPARSE:
-        sample = _denser_sample(frames, layout, usable, region)
-        usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
+        sample, _, usable = _sample_pixels(frames, layout, settings, float(usable.mean()))
     if usable.sum() < _FEWEST_PIXELS:
         return none
     sample = sample.select(usable)
@@ -176,20 +172,15 @@ def _find(
     check_frames(frames, patterns)
     if min(frames.shape[1:]) < _SMALLEST_SIDE:
         return []
-    ceiling = saturation_level(frames, settings.saturation)
-    region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
-    sample = Sample.from_stack(frames, layout, region=region)
-    saturated = sample.levels.max(axis=0) >= ceiling
-    usable = _usable_pixels(sample, saturated, settings)
-    if region is not None and usable.sum() < _FEWEST_PIXELS:  # the specimen has moved out of the region
+    sample, saturated, usable = _sample_pixels(frames, layout, settings)
+    if settings.region is not None and usable.sum() < _FEWEST_PIXELS:  # the specimen has moved out of the region
         return _find(frames, patterns, replace(settings, region=None), gains)
+    ceiling = saturation_level(frames, settings.saturation)
     bad = _find_bad_exposure(sample, saturated, usable, ceiling, settings, patterns)
     if bad is not None:
         return [bad]
     if 0 < usable.mean() < _SPARSE:
-        sample = _denser_sample(frames, layout, usable, region)
-        saturated = sample.levels.max(axis=0) >= ceiling
-        usable = _usable_pixels(sample, saturated, settings)
+        sample, saturated, usable = _sample_pixels(frames, layout, settings, float(usable.mean()))
     if usable.sum() < _FEWEST_PIXELS:
         fault = _find_contradiction(sample, saturated, settings, patterns)
         return [] if fault is None else [fault]
@@ -213,14 +204,18 @@ def _find(
     return found if fault is None else [*found, fault]
 
 
-def _denser_sample(frames: np.ndarray, layout: Layout, usable: np.ndarray, region: np.ndarray | None) -> Sample:
-    """Return a sample with about as many usable pixels as one has that is usable everywhere."""
-    return Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)), region)
+def _sample_pixels(
+    frames: np.ndarray, layout: Layout, settings: PhaseSettings, share: float = 1.0
+) -> tuple[Sample, np.ndarray, np.ndarray]:
+    """Return a sample, its saturated pixels, and its usable ones, which are lit and modulated at every pitch.
 
-
-def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
-    """Return the pixels that are lit and modulated at every pitch."""
-    return np.asarray(np.logical_and.reduce(_modulated_pixels(sample, settings)) & ~saturated)
+    Where a share of the pixels is usable, the sample is denser, so that it has about as many usable ones.
+    """
+    region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
+    sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / share, _DENSEST)), region)
+    saturated = sample.levels.max(axis=0) >= saturation_level(frames, settings.saturation)
+    modulated = np.logical_and.reduce(_modulated_pixels(sample, settings))
+    return sample, saturated, np.asarray(modulated & ~saturated)
 
 
 def _modulated_pixels(sample: Sample, settings: PhaseSettings) -> list[np.ndarray]:
