@@ -79,7 +79,7 @@ def main() -> None:
     curve.set_xticks(ticks, labels=[str(tick) for tick in ticks])
     curve.set_xticks([], minor=True)
     curve.yaxis.set_minor_formatter("{x:.4f}")
-    curve.legend()
+    curve.legend(loc="upper left")
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=90)
 
 

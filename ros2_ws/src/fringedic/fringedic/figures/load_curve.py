@@ -33,5 +33,5 @@ def load_curve_figure(comparison: xr.Dataset) -> Figure:
     for axes, label in ((left, "factor on the model"), (right, "RMS difference over sigma")):
         axes.set(xlabel=f"{load} [{unit.text}]", ylabel=label)
     right.set_yscale("log")
-    right.legend(fontsize="small")
+    figure.legend(*right.get_legend_handles_labels(), fontsize="small", loc="outside right upper")
     return figure

@@ -28,7 +28,7 @@ def noise_figure(measured: NoiseMeasurement) -> Figure:
     axes.plot(level, np.sqrt(camera.noise.variance(level)), label=fitted)
     axes.set(xlabel="brightness [grey level]", ylabel="noise of a pixel [grey level]", ylim=(0, None))
     axes.set_title(f"Camera; the light flickers by {100 * camera.flicker:.2g} %")
-    axes.legend()
+    axes.legend(loc="lower right")
     rows = [[f"{quantity.title} [{quantity.unit}]", *cells] for quantity, cells in metadata.table()]
     table.axis("off")
     table.set_title("Displacement, height and strain: standard deviations")

@@ -74,5 +74,5 @@ def draw_fields(plan: Plan) -> Figure:
     angles.set(xlabel="angle of the projector [degree]", ylabel="standard uncertainty of z [µm]")
     angles.set_ylim(bottom=0, top=1.05 * scale * min(noise.max(), 3.0))
     angles.grid(alpha=0.3)
-    angles.legend(fontsize=8)
+    angles.legend(fontsize=8, loc="upper right")
     return figure

@@ -47,5 +47,5 @@ def residual_figure(step: xr.Dataset, contrast: float) -> Figure:
         f"σ = {number_text(width, 3)} grey levels, {100 * width / contrast:.2g} % of the contrast",
         fontsize=11,
     )
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="upper right")
     return figure

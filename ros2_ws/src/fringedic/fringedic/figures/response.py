@@ -36,14 +36,14 @@ def response_figure(curve: ResponseCurve, before: HarmonicError, after: Harmonic
     bent.plot(level, brightness[shown], color="tab:blue", label="with corrected patterns")
     bent.set_xlabel("requested grey level")
     bent.set_ylabel("brightness in the image, black 0, white 1")
-    bent.legend()
+    bent.legend(loc="upper left")
     fewest = min(before.error)
     for waves, name, colour in ((before, "as it is", "tab:orange"), (after, "corrected", "tab:blue")):
         wave.plot(np.degrees(waves.phase), waves.error[fewest], color=colour, label=f"{name}: {waves.rms(fewest):.4f}")
     wave.set_xlabel("phase [degree]")
     wave.set_ylabel("error [fringe]")
     wave.set_title(f"harmonic error over one fringe, {fewest} shifts; RMS [fringe]", fontsize=10)
-    wave.legend()
+    wave.legend(loc="upper right")
     places = np.arange(len(before.error))
     for offset, waves, name, colour in (
         (-0.2, before, "as it is", "tab:orange"),
@@ -54,5 +54,5 @@ def response_figure(curve: ResponseCurve, before: HarmonicError, after: Harmonic
     bars.set_xticks(places, [str(each) for each in before.error])
     bars.set_xlabel("shifts")
     bars.set_ylabel("harmonic error, RMS [fringe]")
-    bars.legend()
+    bars.legend(loc="upper right")
     return figure

@@ -52,7 +52,7 @@ def timing_figure(samples: TimingSamples, timing: ProjectorTiming, exposure_time
             ylabel="brightness of white [% of its mean]",
             title=f"The light pulses at {refresh.frequency:.2f} Hz",
         )
-        pulses.legend()
+        pulses.legend(loc="upper right")
     return figure
 
 
