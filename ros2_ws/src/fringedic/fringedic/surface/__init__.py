@@ -5,7 +5,8 @@ moved. All lengths are in metre in the rig frame; NaN is "not measured".
 
 `coupling` computes the 3D displacement of prepared shapes (`prepared`), `shading` takes the motion that turning flanks
 of a relief imitate out of the in-plane displacement, `local_frame` and `strain` evaluate planes that `planes` fits in
-moving windows, on one side of `discontinuities` only (`masked_fit`). A new strain measure is an entry of
+moving windows, on one side of `discontinuities` only (`masked_fit`); `curvature` corrects the strain for the curvature
+within a window, from second derivatives at the points of a `coarse_grid`. A new strain measure is an entry of
 `strain_measures`. `specimen_frames` are frames chosen by the user.
 """
 

@@ -37,6 +37,8 @@ class PlaneArrays(NamedTuple):
     slopes: np.ndarray
     white: np.ndarray
     means: np.ndarray
+    centres: np.ndarray
+    number: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -76,12 +78,10 @@ def count_quantities(samples: Samples) -> int:
 @njit(cache=True, nogil=True)
 def solve(sums: np.ndarray, enough: float, row: int, column: int, planes: PlaneArrays) -> None:
     """Compute the planes of a window from its sums (quantity); NaN where it contains fewer than `enough` points."""
-    slopes, white, means = planes
+    slopes, white, means, centres, count = planes
     number = sums[0]
     if number < enough:
-        slopes[:, :, row, column] = np.nan
-        white[:, row, column] = np.nan
-        means[:, row, column] = np.nan
+        _leave_out(row, column, planes)
         return
     x, y = sums[1] / number, sums[2] / number
     xx = sums[3] / number - x * x
@@ -89,10 +89,9 @@ def solve(sums: np.ndarray, enough: float, row: int, column: int, planes: PlaneA
     yy = sums[5] / number - y * y
     determinant = xx * yy - xy * xy
     if determinant == 0.0:  # all points on one line
-        slopes[:, :, row, column] = np.nan
-        white[:, row, column] = np.nan
-        means[:, row, column] = np.nan
+        _leave_out(row, column, planes)
         return
+    centres[0, row, column], centres[1, row, column], count[row, column] = x, y, number
     for k in range(len(slopes)):
         f = sums[6 + 3 * k] / number
         xf = sums[7 + 3 * k] / number - x * f
@@ -109,3 +108,13 @@ def solve(sums: np.ndarray, enough: float, row: int, column: int, planes: PlaneA
             means[k, row, column] = max(sums[at + 1] / sums[at], 0.0)
         else:
             means[k, row, column] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def _leave_out(row: int, column: int, planes: PlaneArrays) -> None:
+    slopes, white, means, centres, count = planes
+    slopes[:, :, row, column] = np.nan
+    white[:, row, column] = np.nan
+    means[:, row, column] = np.nan
+    centres[:, row, column] = np.nan
+    count[row, column] = np.nan

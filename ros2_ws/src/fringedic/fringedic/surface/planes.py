@@ -33,6 +33,10 @@ class Planes:
         point to point [1/m^2].
     means : (number, row, column)
         Means over the window of the squares of the averaged fields, where they are known.
+    centres : (2, row, column)
+        Mean x and y of the points in the window.
+    number : (row, column)
+        Number of the points in the window.
     half : (rows, columns)
         Half-width of the window in points.
     spacing : (rows, columns)
@@ -43,6 +47,8 @@ class Planes:
     slopes: np.ndarray
     white: np.ndarray
     means: np.ndarray
+    centres: np.ndarray
+    number: np.ndarray
     half: tuple[int, int]
     spacing: tuple[float, float]
 
@@ -97,6 +103,8 @@ def fit_planes(
         np.empty((len(names), 2, *fields.shape[1:]), kind),
         np.empty((3, *fields.shape[1:]), kind),
         np.empty((len(averaged), *fields.shape[1:]), kind),
+        np.empty((2, *fields.shape[1:]), kind),
+        np.empty(fields.shape[1:], kind),
     )
     _fit(samples, half, planes)
     if discontinuous is not None and discontinuous.any():
@@ -109,6 +117,8 @@ def fit_planes(
         fit_masked(
             samples, maximum_filter(long, size=[2 * each + 1 for each in half], mode="constant") & known, half, planes
         )
+    planes.centres[0] += kind.type(middle[0])
+    planes.centres[1] += kind.type(middle[1])
     return Planes(fields, *planes, half, spacing)
 
 

@@ -10,6 +10,15 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import SurfaceError
+from fringedic.surface.coarse_grid import interpolate, step_of
+from fringedic.surface.curvature import (
+    add_covariances,
+    inverse_root,
+    point_slopes,
+    second_derivatives,
+    turn_between,
+    window_moments,
+)
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
@@ -46,7 +55,8 @@ def surface_strain(
 
     Least-squares planes of z, u, v and w over (x, y) in the window give the tangent vectors of the surface before,
     A1 = (1, 0, z_x) and A2 = (0, 1, z_y), and after, a_i = A_i + (u, v, w)_i. The strain is half the difference of
-    their scalar products, in the basis t1, t2 of `to_local_frame`. A rigid motion gives zero on any surface.
+    their scalar products, in the basis t1, t2 of `to_local_frame`. The curvature of the surface within the window is
+    included to second order, see `fringedic.surface.curvature`. A rigid motion gives zero on any surface.
 
     The standard deviations follow from the independent errors that `couple` returns: noise of both heights along the
     lines of sight and noise of the in-plane displacement, propagated through the planes and the scalar products to
@@ -115,7 +125,17 @@ def surface_strain(
     discontinuous = find_discontinuities(displacement_3d) if known_errors else None
     planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else (), discontinuous)
     strain = np.empty((len(_STRAIN), *planes.slopes.shape[2:]), planes.slopes.dtype)
-    _compute_green_lagrange(planes.slopes, strain)
+    step = step_of(planes.half)
+    _compute_green_lagrange(
+        planes.slopes,
+        planes.white,
+        planes.fields,
+        planes.centres,
+        planes.number,
+        second_derivatives(planes, step),
+        step,
+        strain,
+    )
     fields = dict(zip(_STRAIN, strain, strict=True))
     units = dict(_STRAIN)
     if known_errors:
@@ -202,16 +222,53 @@ def _metric_change(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _compute_green_lagrange(slopes: np.ndarray, strain: np.ndarray) -> None:
-    """Compute the strain in the basis t1 = A1/|A1|, t2 = n x t1, and its principal values."""
+def _compute_green_lagrange(
+    slopes: np.ndarray,
+    white: np.ndarray,
+    positions: np.ndarray,
+    centres: np.ndarray,
+    number: np.ndarray,
+    second: np.ndarray,
+    step: int,
+    strain: np.ndarray,
+) -> None:
+    """Compute the strain in the basis t1 = A1/|A1|, t2 = n x t1 of each point, and its principal values."""
     rows, columns = slopes.shape[2:]
     for i in prange(rows):
+        derivatives, missed, plane = np.empty(15), np.empty(6), np.empty((4, 2))
         for j in range(columns):
+            if not math.isfinite(number[i, j]):
+                strain[:, i, j] = np.nan
+                continue
             e_xx, e_yy, e_xy, z_x, z_y, _, _, _, _, _, _ = _metric_change(slopes, i, j)
+            for field in range(4):
+                plane[field, 0], plane[field, 1] = slopes[field, 0, i, j], slopes[field, 1, i, j]
+            interpolate(second, step, i, j, derivatives)
+            moments = window_moments(white, number[i, j], i, j)
+            add_covariances(plane, derivatives, moments, missed)
+            e_xx, e_yy, e_xy = e_xx + missed[0], e_yy + missed[1], e_xy + missed[2]
+            g_xx, g_yy, g_xy = missed[3], missed[4], missed[5]
             p, q, r = _local_basis(z_x, z_y)
-            e_11 = p * p * e_xx
-            e_22 = q * q * e_xx + 2.0 * q * r * e_xy + r * r * e_yy
-            e_12 = p * (q * e_xx + r * e_xy)
+            e_11, e_22, e_12 = _in_basis(p, q, r, e_xx, e_yy, e_xy)
+            g_11, g_22, g_12 = _in_basis(p, q, r, g_xx, g_yy, g_xy)
+            s_11, s_22, s_12 = inverse_root(1.0 + g_11, 1.0 + g_22, g_12)
+            to_x, to_y = point_slopes(
+                z_x,
+                z_y,
+                derivatives,
+                moments,
+                float(centres[0, i, j]) - float(positions[0, i, j]),
+                float(centres[1, i, j]) - float(positions[1, i, j]),
+            )
+            cosine, sine = turn_between(z_x, z_y, to_x, to_y)
+            # rows of the root, turned
+            a_1, a_2 = cosine * s_11 - sine * s_12, cosine * s_12 - sine * s_22
+            b_1, b_2 = sine * s_11 + cosine * s_12, sine * s_12 + cosine * s_22
+            e_11, e_22, e_12 = (
+                a_1 * a_1 * e_11 + 2.0 * a_1 * a_2 * e_12 + a_2 * a_2 * e_22,
+                b_1 * b_1 * e_11 + 2.0 * b_1 * b_2 * e_12 + b_2 * b_2 * e_22,
+                a_1 * b_1 * e_11 + (a_1 * b_2 + a_2 * b_1) * e_12 + a_2 * b_2 * e_22,
+            )
             centre = 0.5 * (e_11 + e_22)
             radius = math.sqrt(0.25 * (e_11 - e_22) ** 2 + e_12 * e_12)
             strain[0, i, j] = e_11
@@ -220,6 +277,12 @@ def _compute_green_lagrange(slopes: np.ndarray, strain: np.ndarray) -> None:
             strain[3, i, j] = centre + radius
             strain[4, i, j] = centre - radius
             strain[5, i, j] = 0.5 * math.atan2(2.0 * e_12, e_11 - e_22)
+
+
+@njit(cache=True, nogil=True)
+def _in_basis(p: float, q: float, r: float, xx: float, yy: float, xy: float) -> tuple[float, float, float]:
+    """Return 11, 22, 12 of a covariant tensor in the basis of `_local_basis`."""
+    return p * p * xx, q * q * xx + 2.0 * q * r * xy + r * r * yy, p * (q * xx + r * xy)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -278,9 +341,7 @@ def _propagate(
                 noise = means[source, i, j]
                 n_xx, n_yy = noise * gains[source, 0] * white[0, i, j], noise * gains[source, 1] * white[1, i, j]
                 n_xy = noise * math.sqrt(gains[source, 0] * gains[source, 1]) * white[2, i, j]
-                n_11 = p * p * n_xx
-                n_12 = p * (q * n_xx + r * n_xy)
-                n_22 = q * q * n_xx + 2.0 * q * r * n_xy + r * r * n_yy
+                n_11, n_22, n_12 = _in_basis(p, q, r, n_xx, n_yy, n_xy)
                 variance_11 += m_1 * m_1 * n_11
                 variance_22 += m_2 * m_2 * n_22
                 variance_12 += 0.25 * (m_1 * m_1 * n_22 + 2.0 * m_1 * m_2 * n_12 + m_2 * m_2 * n_11)
