@@ -55,6 +55,9 @@ MAPS: dict[str, Quantity] = {
     "sigma_e_11": Quantity("1", "standard deviation of e_11"),
     "sigma_e_22": Quantity("1", "standard deviation of e_22"),
     "sigma_e_12": Quantity("1", "standard deviation of e_12"),
+    "resolution_e_11": Quantity("1", "expected error of e_11 by the smoothing of its window"),
+    "resolution_e_22": Quantity("1", "expected error of e_22 by the smoothing of its window"),
+    "resolution_e_12": Quantity("1", "expected error of e_12 by the smoothing of its window"),
 }
 CLOSURES: dict[str, Quantity] = {  # of the desk, not of the nodes
     "phase_closure": Quantity("standard deviations", "phase of the next coarser pitch minus that of the finest one"),
@@ -94,6 +97,9 @@ _FLAT_STRAIN = {
     "sigma_e_xx": Quantity("1", "standard deviation of e_xx"),
     "sigma_e_yy": Quantity("1", "standard deviation of e_yy"),
     "sigma_e_xy": Quantity("1", "standard deviation of e_xy"),
+    "resolution_e_xx": Quantity("1", "expected error of e_xx by the smoothing of its window"),
+    "resolution_e_yy": Quantity("1", "expected error of e_yy by the smoothing of its window"),
+    "resolution_e_xy": Quantity("1", "expected error of e_xy by the smoothing of its window"),
 }
 GREY_RESIDUAL = Quantity("grey level", "deformed minus reference image at the material points")
 _IN_IMAGE = ("texture", "displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
@@ -159,3 +165,15 @@ def sigma_of(name: str) -> str | None:
     first, _, last = name.rpartition("_")
     candidates = (f"sigma_{name}", f"{first}_sigma_{last}", f"{name}_sigma")
     return next((candidate for candidate in candidates if candidate in MAPS), None)
+
+
+def resolution_of(name: str) -> str | None:
+    """Return the map that contains the expected smoothing error of a map; None when there is none.
+
+    Examples
+    --------
+    >>> resolution_of("e_11"), resolution_of("w")
+    ('resolution_e_11', None)
+    """
+    candidate = f"resolution_{name}"
+    return candidate if candidate in MAPS else None

@@ -61,6 +61,9 @@ SIGMAS_OF_TWO_IMAGES = (Panel("sigma_x", "standard deviation of x"), Panel("sigm
 SIGMAS_OF_STRAIN = tuple(
     Panel(f"sigma_{panel.name}", f"standard deviation of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
 )
+RESOLUTIONS = tuple(
+    Panel(f"resolution_{panel.name}", f"expected smoothing error of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
+)
 GREY_RESIDUAL = Panel("grey_residual", "grey-level residual", symmetric=True)
 ERRORS = tuple(Panel(f"error_{name}", f"error of {name}", symmetric=True) for name in "zuvw")
 ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *FLAT_STRAIN[:2], *DISPLACEMENT_IN_IMAGE)
@@ -74,13 +77,14 @@ _PICTURES = {
         (*SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN[3:]),
         SIGMAS_IN_IMAGE,
     ),
+    "resolution": (RESOLUTIONS[:3], RESOLUTIONS[3:]),
 }
 _ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, VON_MISES)
 _PANELS = {
     panel.name: panel
     for panels in (
         (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_TWO_IMAGES),
-        (*SIGMAS_OF_STRAIN, GREY_RESIDUAL, *ERRORS),
+        (*SIGMAS_OF_STRAIN, *RESOLUTIONS, GREY_RESIDUAL, *ERRORS),
     )
     for panel in panels
 }
@@ -92,7 +96,7 @@ def panel_of(name: str) -> Panel:
 
 
 def pictures_of(step: xr.Dataset) -> dict[str, tuple[Panel, ...]]:
-    """Return the panels of each picture of a step by its name: displacement (""), strain and sigma, where measured."""
+    """Return the panels of the pictures of a step by name: displacement (""), strain, sigma, resolution."""
     measured = {
         str(name) for name, values in step.data_vars.items() if values.ndim == 2 and np.isfinite(values.values).any()
     }

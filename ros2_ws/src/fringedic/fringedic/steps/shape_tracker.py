@@ -26,7 +26,8 @@ _VECTORS = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
 _NOISE = ("noise_z", "noise_z_deformed")
 _LOCAL = ("u_t", "v_t", "w_n")
 _NONE_YET = "no calibration yet: publish one on 'calibration', or process the recording with --calibration FILE"
-STRAIN_FIELDS = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
+_STRAINS = ("e_11", "e_22", "e_12")
+STRAIN_FIELDS = (*_STRAINS, *(f"{kind}_{name}" for kind in ("sigma", "resolution") for name in _STRAINS))
 DISPLACEMENT_FIELDS = (*_VECTORS, *_NOISE, *_LOCAL, *STRAIN_FIELDS)
 """Fields of the displacement of a step, when all are asked for."""
 

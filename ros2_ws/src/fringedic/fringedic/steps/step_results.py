@@ -152,7 +152,8 @@ class CouplingResult:
         ``sigma_v``, ``sigma_w`` [m], ``x``, ``y``, ``z`` of the reference surface where they are measured [m], and the
         noise of both heights, ``noise_z`` and ``noise_z_deformed`` [m], from which the noise of a strain follows; when
         asked for ``u_t``, ``v_t``, ``w_n`` [m] and ``e_11``, ``e_22``, ``e_12`` [-] with ``sigma_e_11``,
-        ``sigma_e_22``, ``sigma_e_12`` [-].
+        ``sigma_e_22``, ``sigma_e_12`` [-] and the expected smoothing errors ``resolution_e_11``, ``resolution_e_22``,
+        ``resolution_e_12`` [-].
     valid_fraction
         Measured points over all points of the displacement.
     rms
@@ -178,7 +179,11 @@ class CouplingResult:
         """
         if "e_11" not in self.displacement:
             return None
-        names = [name for name in self.displacement if str(name).removeprefix("sigma_").startswith("e_")]
+        names = [
+            name
+            for name in self.displacement
+            if str(name).removeprefix("sigma_").removeprefix("resolution_").startswith("e_")
+        ]
         measured = np.logical_and.reduce([np.isfinite(self.displacement[name].values) for name in names])
         places = self.displacement[["x", "y", "z"]].where(xr.Variable(("row", "column"), measured))
         return places.assign({name: self.displacement[name] for name in names})

@@ -40,14 +40,26 @@ def fill_from_nearest(fields: np.ndarray) -> np.ndarray:
     return np.asarray(fields[:, rows, columns])
 
 
-@njit(cache=True, nogil=True)
-def interpolate(coarse: np.ndarray, step: int, row: int, column: int, values: np.ndarray) -> None:
-    """Interpolate coarse fields (field, row, column) bilinearly at a point."""
-    rows, columns = coarse.shape[1:]
-    i, j = min(row // step, rows - 1), min(column // step, columns - 1)
-    below, right = min(i + 1, rows - 1), min(j + 1, columns - 1)
-    a, b = row / step - i, column / step - j
-    for k in range(len(coarse)):
-        upper = (1.0 - b) * coarse[k, i, j] + b * coarse[k, i, right]
-        lower = (1.0 - b) * coarse[k, below, j] + b * coarse[k, below, right]
-        values[k] = (1.0 - a) * upper + a * lower
+def by_point(fields: np.ndarray) -> np.ndarray:
+    """Return fields (field, row, column) as (row, column, field), as the functions below take them."""
+    return np.ascontiguousarray(np.moveaxis(fields, 0, -1))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate_row(coarse: np.ndarray, step: int, row: int, line: np.ndarray) -> None:
+    """Interpolate coarse fields (row, column, field) at a row of points; `line` is (coarse column, field)."""
+    last = coarse.shape[0] - 1
+    upper = min(row // step, last)
+    part = row / step - upper
+    line[:] = (1.0 - part) * coarse[upper] + part * coarse[min(upper + 1, last)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate_column(line: np.ndarray, step: int, column: int, values: np.ndarray) -> None:
+    """Interpolate the fields of a row, from `interpolate_row`, at a point."""
+    last = line.shape[0] - 1
+    left = min(column // step, last)
+    part = column / step - left
+    right = min(left + 1, last)
+    for k in range(len(values)):
+        values[k] = (1.0 - part) * line[left, k] + part * line[right, k]

@@ -71,7 +71,7 @@ def second_derivatives(planes: Planes, step: int) -> np.ndarray:
     f, xf, yf = means.reshape(3, 2 * count, rows, columns)
     xf, yf = xf - x * f, yf - y * f
     determinant = xx * yy - xy * xy
-    determinant[determinant < _FLATTEST * (xx + yy) ** 2] = np.nan
+    determinant[determinant <= _FLATTEST * (xx + yy) ** 2] = np.nan
     by_x = ((yy * xf - xy * yf) / determinant).reshape(count, 2, rows, columns)
     by_y = ((xx * yf - xy * xf) / determinant).reshape(count, 2, rows, columns)
     for by in (by_x, by_y):  # from the slopes of the normal to those of the slope
@@ -80,7 +80,7 @@ def second_derivatives(planes: Planes, step: int) -> np.ndarray:
     return fill_from_nearest(found.reshape(15, rows, columns))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def window_moments(white: np.ndarray, number: float, row: int, column: int) -> tuple[float, float, float]:
     """Return the second central moments xx, xy, yy of the points in the window of a plane [m^2]."""
     w_xx, w_yy, w_xy = float(white[0, row, column]), float(white[1, row, column]), float(white[2, row, column])
@@ -88,13 +88,13 @@ def window_moments(white: np.ndarray, number: float, row: int, column: int) -> t
     return w_yy / scale, -w_xy / scale, w_xx / scale
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _contract(moments: tuple[float, float, float], a_x: float, a_y: float, b_x: float, b_y: float) -> float:
     """Return M^kl a_k b_l."""
     return moments[0] * a_x * b_x + moments[1] * (a_x * b_y + a_y * b_x) + moments[2] * a_y * b_y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_covariances(
     slopes: np.ndarray, second: np.ndarray, moments: tuple[float, float, float], missed: np.ndarray
 ) -> None:
@@ -145,7 +145,7 @@ def add_covariances(
         missed[3 + pair] = _contract(weights, n_1, n_2, m_1, m_2)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def point_slopes(
     z_x: float,
     z_y: float,
@@ -174,29 +174,24 @@ def point_slopes(
     )
 
 
-@njit(cache=True, nogil=True)
-def turn_between(from_x: float, from_y: float, to_x: float, to_y: float) -> tuple[float, float]:
-    """Return cosine and sine of the angle from t1 of a tangent plane, given by its slopes, to t1 of another one.
+@njit(cache=True, nogil=True, error_model="numpy")
+def turn_of_basis(from_x: float, from_y: float, to_x: float, to_y: float) -> float:
+    """Return the angle by which t1 of a tangent plane, transported to another one, is turned against t1 there [rad].
 
-    The other t1 (`from_x`, `from_y`) is transported by the smallest rotation of its normal to the normal of the plane.
+    Tangent planes are given by their slopes. t1 turns by -z_y dz_x / (|n| (1 + z_x^2)) with the length of the normal
+    (-z_x, -z_y, 1); the slopes halfway make it correct to second order in the change.
     """
-    length = math.sqrt(1.0 + from_x * from_x)
-    t_x, t_z = 1.0 / length, from_x / length
-    area, other = math.sqrt(1.0 + from_x * from_x + from_y * from_y), math.sqrt(1.0 + to_x * to_x + to_y * to_y)
-    n_x, n_y, n_z = -to_x / other, -to_y / other, 1.0 / other
-    sum_x, sum_y, sum_z = n_x - from_x / area, n_y - from_y / area, n_z + 1.0 / area
-    part = (n_x * t_x + n_z * t_z) / (0.5 * (sum_x * sum_x + sum_y * sum_y + sum_z * sum_z))
-    v_x, v_y, v_z = t_x - part * sum_x, -part * sum_y, t_z - part * sum_z
-    length = math.sqrt(1.0 + to_x * to_x)
-    # t2 = n x t1
-    cosine = (v_x + to_x * v_z) / length
-    sine = (n_y * to_x * v_x + (n_z - n_x * to_x) * v_y - n_y * v_z) / length
-    return cosine, sine
+    z_x, z_y = 0.5 * (from_x + to_x), 0.5 * (from_y + to_y)
+    squared = 1.0 + z_x * z_x
+    return -z_y * (to_x - from_x) / (math.sqrt(squared + z_y * z_y) * squared)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def inverse_root(xx: float, yy: float, xy: float) -> tuple[float, float, float]:
-    """Return xx, yy, xy of the inverse of the symmetric root of a positive definite matrix."""
-    determinant = math.sqrt(xx * yy - xy * xy)
-    scale = determinant * math.sqrt(xx + yy + 2.0 * determinant)
-    return (yy + determinant) / scale, (xx + determinant) / scale, -xy / scale
+    """Return xx, yy, xy of (1 + C)^(-1/2) for a small symmetric C, to second order: 1 - C/2 + 3 C^2/8."""
+    mixed = 0.375 * xy * (xx + yy)
+    return (
+        1.0 - 0.5 * xx + 0.375 * (xx * xx + xy * xy),
+        1.0 - 0.5 * yy + 0.375 * (yy * yy + xy * xy),
+        mixed - 0.5 * xy,
+    )

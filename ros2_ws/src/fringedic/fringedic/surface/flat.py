@@ -21,6 +21,9 @@ _NAMES = {
     "sigma_e_11": ("sigma_e_xx", "standard deviation of e_xx"),
     "sigma_e_22": ("sigma_e_yy", "standard deviation of e_yy"),
     "sigma_e_12": ("sigma_e_xy", "standard deviation of e_xy"),
+    "resolution_e_11": ("resolution_e_xx", "expected error of e_xx by the smoothing of its window"),
+    "resolution_e_22": ("resolution_e_yy", "expected error of e_yy by the smoothing of its window"),
+    "resolution_e_12": ("resolution_e_xy", "expected error of e_xy by the smoothing of its window"),
 }
 
 
@@ -49,9 +52,10 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
     -------
     Dataset
         Over (row, column): ``e_xx`` (x to the right), ``e_yy`` (y upwards), ``e_xy`` (tensor shear), principal strains
-        ``e_1`` >= ``e_2``, ``e_von_mises`` and the standard deviations ``sigma_e_xx``, ``sigma_e_yy``, ``sigma_e_xy``,
-        all [1]. The attribute ``virtual_strain_gauge_px`` is the length that a value is measured over,
-        ``virtual_strain_gauge_mm`` the same with a known scale.
+        ``e_1`` >= ``e_2``, ``e_von_mises``, the standard deviations ``sigma_e_xx``, ``sigma_e_yy``, ``sigma_e_xy`` and
+        the expected errors by smoothing ``resolution_e_xx``, ``resolution_e_yy``, ``resolution_e_xy``, all [1]. The
+        attribute ``virtual_strain_gauge_px`` is the length that a value is measured over, ``virtual_strain_gauge_mm``
+        the same with a known scale.
 
     Raises
     ------

@@ -10,18 +10,19 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import SurfaceError
-from fringedic.surface.coarse_grid import interpolate, step_of
+from fringedic.surface.coarse_grid import by_point, interpolate_column, interpolate_row, step_of
 from fringedic.surface.curvature import (
     add_covariances,
     inverse_root,
     point_slopes,
     second_derivatives,
-    turn_between,
+    turn_of_basis,
     window_moments,
 )
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
+from fringedic.surface.resolution import estimate_resolution, smoothing_gain
 from fringedic.surface.strain_measures import MEASURES, SurfaceStrain, require_measures
 from fringedic.wording.arguments import check_arguments, dataset, number, several, text, whole
 
@@ -38,6 +39,11 @@ _SIGMAS = {
     "sigma_e_11": ("1", "standard deviation of e_11"),
     "sigma_e_22": ("1", "standard deviation of e_22"),
     "sigma_e_12": ("1", "standard deviation of e_12"),
+}
+_RESOLUTIONS = {
+    "resolution_e_11": ("1", "expected error of e_11 by the smoothing of its window"),
+    "resolution_e_22": ("1", "expected error of e_22 by the smoothing of its window"),
+    "resolution_e_12": ("1", "expected error of e_12 by the smoothing of its window"),
 }
 
 
@@ -91,10 +97,12 @@ def surface_strain(
     Dataset
         Over (row, column), in the precision of the input: ``e_11``, ``e_22``, ``e_12`` (tensor shear, half the
         engineering one), principal values ``e_1`` >= ``e_2`` [1], and ``direction`` [rad] of the first one: its angle
-        from t1 towards t2, in (-pi/2, pi/2]. Standard deviations ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` where
-        the errors and the window of the in-plane displacement are known. The attributes ``virtual_strain_gauge_px`` and
-        ``virtual_strain_gauge_mm`` are the length that a value is measured over: from the first to the last point of
-        the window, plus the window of the in-plane displacement where it is known.
+        from t1 towards t2, in (-pi/2, pi/2]. Where the errors and the window of the in-plane displacement are known,
+        the standard deviations ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` and the expected errors by the smoothing
+        of the window ``resolution_e_11``, ``resolution_e_22``, ``resolution_e_12``, see
+        `fringedic.surface.resolution`. The attributes ``virtual_strain_gauge_px`` and ``virtual_strain_gauge_mm`` are
+        the length that a value is measured over: from the first to the last point of the window, plus the window of the
+        in-plane displacement where it is known.
 
     Raises
     ------
@@ -132,15 +140,18 @@ def surface_strain(
         planes.fields,
         planes.centres,
         planes.number,
-        second_derivatives(planes, step),
+        by_point(second_derivatives(planes, step)),
         step,
         strain,
     )
     fields = dict(zip(_STRAIN, strain, strict=True))
     units = dict(_STRAIN)
     if known_errors:
-        fields |= zip(_SIGMAS, _compute_sigmas(displacement_3d, planes, slope_noise), strict=True)
-        units |= _SIGMAS
+        sigmas = _compute_sigmas(displacement_3d, planes, slope_noise)
+        fields |= zip(_SIGMAS, sigmas, strict=True)
+        gain = smoothing_gain(*_displacement_filter(displacement_3d), planes.half, _whole_spacing(planes), step)
+        fields |= zip(_RESOLUTIONS, estimate_resolution(strain[:3], sigmas, planes.half, step, gain), strict=True)
+        units |= {**_SIGMAS, **_RESOLUTIONS}
     for measure in (MEASURES[name] for name in measures):
         fields |= zip(measure.fields, measure.compute(SurfaceStrain(*strain)), strict=True)
         units |= measure.fields
@@ -165,12 +176,20 @@ def surface_strain(
     )
 
 
+def _whole_spacing(planes: Planes) -> tuple[int, int]:
+    return round(planes.spacing[0]), round(planes.spacing[1])
+
+
+def _displacement_filter(cloud: xr.Dataset) -> tuple[int, str]:
+    """Return window [px] and method of the in-plane displacement."""
+    return int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
+
+
 def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np.ndarray:
     """Return the standard deviations (3, row, column) of e_11, e_22, e_12."""
-    spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
+    spacing = _whole_spacing(planes)
     z_filter = float(cloud.attrs["z_filter_px"])
-    window, method = int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
-    in_plane = slope_noise * displacement_gains(window, method, planes.half, spacing)
+    in_plane = slope_noise * displacement_gains(*_displacement_filter(cloud), planes.half, spacing)
     gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
     h0 = float(cloud.attrs["camera_distance"])
     sigmas = np.empty((len(_SIGMAS), *planes.slopes.shape[2:]), planes.slopes.dtype)
@@ -221,7 +240,7 @@ def _metric_change(
     return e_xx, e_yy, e_xy, z_x, z_y, u_x, u_y, v_x, v_y, w_x, w_y
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _compute_green_lagrange(
     slopes: np.ndarray,
     white: np.ndarray,
@@ -235,7 +254,9 @@ def _compute_green_lagrange(
     """Compute the strain in the basis t1 = A1/|A1|, t2 = n x t1 of each point, and its principal values."""
     rows, columns = slopes.shape[2:]
     for i in prange(rows):
-        derivatives, missed, plane = np.empty(15), np.empty(6), np.empty((4, 2))
+        line, derivatives = np.empty(second.shape[1:]), np.empty(second.shape[2])
+        missed, plane = np.empty(6), np.empty((4, 2))
+        interpolate_row(second, step, i, line)
         for j in range(columns):
             if not math.isfinite(number[i, j]):
                 strain[:, i, j] = np.nan
@@ -243,7 +264,7 @@ def _compute_green_lagrange(
             e_xx, e_yy, e_xy, z_x, z_y, _, _, _, _, _, _ = _metric_change(slopes, i, j)
             for field in range(4):
                 plane[field, 0], plane[field, 1] = slopes[field, 0, i, j], slopes[field, 1, i, j]
-            interpolate(second, step, i, j, derivatives)
+            interpolate_column(line, step, j, derivatives)
             moments = window_moments(white, number[i, j], i, j)
             add_covariances(plane, derivatives, moments, missed)
             e_xx, e_yy, e_xy = e_xx + missed[0], e_yy + missed[1], e_xy + missed[2]
@@ -251,7 +272,7 @@ def _compute_green_lagrange(
             p, q, r = _local_basis(z_x, z_y)
             e_11, e_22, e_12 = _in_basis(p, q, r, e_xx, e_yy, e_xy)
             g_11, g_22, g_12 = _in_basis(p, q, r, g_xx, g_yy, g_xy)
-            s_11, s_22, s_12 = inverse_root(1.0 + g_11, 1.0 + g_22, g_12)
+            s_11, s_22, s_12 = inverse_root(g_11, g_22, g_12)
             to_x, to_y = point_slopes(
                 z_x,
                 z_y,
@@ -260,7 +281,8 @@ def _compute_green_lagrange(
                 float(centres[0, i, j]) - float(positions[0, i, j]),
                 float(centres[1, i, j]) - float(positions[1, i, j]),
             )
-            cosine, sine = turn_between(z_x, z_y, to_x, to_y)
+            sine = turn_of_basis(z_x, z_y, to_x, to_y)
+            cosine = 1.0 - 0.5 * sine * sine
             # rows of the root, turned
             a_1, a_2 = cosine * s_11 - sine * s_12, cosine * s_12 - sine * s_22
             b_1, b_2 = sine * s_11 + cosine * s_12, sine * s_12 + cosine * s_22

@@ -26,6 +26,8 @@ CHANGED_NOISE = 0.004
 TRIAL = 0.006
 UNEVEN = 0.02
 ONE_SIDED = 0.25
+# The strain contains the curvature within its window of 34 mm, of a bowed plate (radius 3 m) that straightens.
+CURVATURE = {"e_22": 3.5e-6}
 UNCHANGED = {"phase", "displacement_x", "displacement_y"}
 OF_DISPLACEMENT = {
     "displacement_sigma_x",
@@ -76,7 +78,8 @@ def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
         else:
             uncertainty = expected.get(UNCERTAINTIES.get(name, f"sigma_{name}"))
             scale = 1e-3 * np.nanmax(np.abs(expected[name])) if uncertainty is None else np.nanmedian(uncertainty)
-            np.testing.assert_allclose(values, expected[name], rtol=1e-4, atol=0.01 * scale, err_msg=name)
+            most = 0.01 * scale + CURVATURE.get(name, 0.0)
+            np.testing.assert_allclose(values, expected[name], rtol=1e-4, atol=most, err_msg=name)
 
 
 def test_parameters_of_the_recording_are_known(dataset: xr.Dataset) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets import open_experiment
-from fringedic.datasets.quantities import MAPS, people_unit, sigma_of
+from fringedic.datasets.quantities import MAPS, people_unit, resolution_of, sigma_of
 from fringedic.errors import DatasetError
 from fringedic.evaluation import extensometer, profile
 from fringedic.frames.region import Point
@@ -271,7 +271,7 @@ def described_signal(name: str, unit: str, source: str) -> dict[str, Any]:
 
 
 def described(name: str) -> dict[str, Any]:
-    """Return name, meaning, unit for people and standard deviation of a map, for the page.
+    """Return name, meaning, unit for people, standard deviation and smoothing error of a map, for the page.
 
     ``level`` is 1 for maps in the image, which a running step has first, and 2 for all others.
     """
@@ -282,5 +282,6 @@ def described(name: str) -> dict[str, Any]:
         "unit": "" if unit.text == "1" else unit.text,
         "factor": unit.factor,
         "sigma": sigma_of(name),
+        "resolution": resolution_of(name),
         "level": 1 if name in _IN_PLANE else 2,
     }

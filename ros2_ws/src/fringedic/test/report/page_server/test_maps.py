@@ -81,9 +81,11 @@ def test_description_has_the_unit_of_people() -> None:
         "unit": "µm",
         "factor": 1e-6,
         "sigma": "sigma_w",
+        "resolution": None,
         "level": 2,
     }
     assert described("texture")["sigma"] is None
+    assert described("e_12")["resolution"] == "resolution_e_12"
 
 
 @pytest.mark.parametrize("measured", [slice(0, 14), slice(31, 32), slice(50, 64)], ids=["upper", "one row", "lower"])

@@ -90,11 +90,12 @@ class MapsView {
     this.probe();
   }
 
-  // The map, that of its standard deviation if there is one, and the palettes.
+  // The map, those of its standard deviation and smoothing error if there are any, and the palettes.
   async fetch(step, quantity) {
-    const [values, sigma, colours] = await Promise.all([
-      tile(step, quantity.name), quantity.sigma ? tile(step, quantity.sigma).catch(() => null) : null, this.colours ?? palettes()]);
-    return { values, sigma, colours, chosen: quantity, shown: step };
+    const beside = (name) => name ? tile(step, name).catch(() => null) : null;
+    const [values, sigma, resolution, colours] = await Promise.all([
+      tile(step, quantity.name), beside(quantity.sigma), beside(quantity.resolution), this.colours ?? palettes()]);
+    return { values, sigma, resolution, colours, chosen: quantity, shown: step };
   }
 
   auto() {
@@ -121,8 +122,10 @@ class MapsView {
   read(place) {
     if (!place || !this.values) { this.readout.textContent = "Point at the map: value ± standard deviation"; return; }
     const { factor, unit, name } = this.chosen, sigma = this.sigma ? valueAt(this.sigma, place) / factor : NaN;
+    const smoothed = this.resolution ? valueAt(this.resolution, place) / factor : NaN;
     const value = withSigma(valueAt(this.values, place) / factor, sigma, unit);
-    this.readout.textContent = `${name} = ${value} at column ${place.column}, row ${place.row}`;
+    const errors = sigma > 0 && Number.isFinite(smoothed) ? ` noise, up to ${number(smoothed, 2)} ${unit} smoothing,` : "";
+    this.readout.textContent = `${name} = ${value}${errors} at column ${place.column}, row ${place.row}`;
   }
 
   click({ column, row }) {
