@@ -100,6 +100,7 @@ def test_colour_and_hover_text_are_those_of_the_dataset(page: Page, dataset: xr.
     page.press("#high", "Tab")
     values = dataset[name].sel(step=2).values.astype(np.float64) / factor
     sigmas = dataset[f"sigma_{name}"].sel(step=2).values.astype(np.float64) / factor
+    smoothing = dataset.get(f"resolution_{name}")
     colours = palette("viridis")
     measured = np.argwhere(np.isfinite(values) & np.isfinite(sigmas))
     for row, column in measured[:: len(measured) // 4].tolist():
@@ -109,7 +110,11 @@ def test_colour_and_hover_text_are_those_of_the_dataset(page: Page, dataset: xr.
         digits = max(1 - int(np.floor(np.log10(sigma))), 0)
         unit = "µstrain" if name == "e_22" else "µm"
         place = f"at column {dataset.column.values[column]}, row {dataset.row.values[row]}"
-        expected = f"{name} = {value:.{digits}f} ± {sigma:.{digits}f} {unit} {place}"
+        errors = ""
+        if smoothing is not None:
+            most = float(smoothing.sel(step=2).values[row, column]) / factor
+            errors = f" noise, up to {float(f'{most:.2g}'):g} µstrain smoothing,"
+        expected = f"{name} = {value:.{digits}f} ± {sigma:.{digits}f} {unit}{errors} {place}"
         assert point_at(page, dataset, column, row) == expected
     corner = values[0, 0]
     assert np.isnan(corner)

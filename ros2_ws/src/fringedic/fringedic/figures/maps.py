@@ -58,8 +58,9 @@ def save_pictures(
     dataset
         From `fringedic.open_experiment`.
     folder
-        Folder of the pictures, ``step_003.png``, ``step_003_strain.png``, ``step_003_sigma.png`` and, with a truth,
-        ``step_003_errors.png``; made if it is missing.
+        Folder of the pictures, ``step_003.png``, ``step_003_strain.png``, ``step_003_sigma.png``,
+        ``step_003_resolution.png`` (smoothing error of the strain) and, with a truth, ``step_003_errors.png``; made if
+        it is missing.
     truth
         From `fringedic.evaluation.open_truth`.
 
@@ -81,7 +82,7 @@ def save_pictures(
     >>> import fringedic
     >>> dataset = fringedic.open_experiment("recordings/plate-7/bag").isel(step=[2])
     >>> [picture.name for picture in save_pictures(dataset, "pictures")]
-    ['step_002.png', 'step_002_strain.png', 'step_002_sigma.png']
+    ['step_002.png', 'step_002_strain.png', 'step_002_sigma.png', 'step_002_resolution.png']
     """
     target = Path(folder)
     try:
