@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from fringedic.command import main, plugins
+from fringedic.command.app import app
 
 HELLO = """
 from fringedic.command.app import app, say
@@ -49,8 +50,12 @@ def test_a_package_that_cannot_be_imported_is_named_in_one_sentence(tmp_path: Pa
 
 @pytest.fixture
 def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library without other packages."""
+    """The library without other packages, whose subcommands another test may have added."""
     monkeypatch.setattr(plugins, "entry_points", lambda **_: [])
+    own = [
+        each for each in app.registered_commands if each.callback and each.callback.__module__.startswith("fringedic.")
+    ]
+    monkeypatch.setattr(app, "registered_commands", own)
     plugins.load_commands.cache_clear()
 
 

@@ -35,7 +35,7 @@ def test_results_are_written(written: RunReport) -> None:
     assert not written.failed
     assert (written.folder / "results.nc").exists()
     assert sorted(path.name for path in written.pictures) == [
-        f"step_00{step}{kind}.png" for step in range(STEPS) for kind in ("", "_sigma", "_strain")
+        f"step_00{step}{kind}.png" for step in range(STEPS) for kind in ("", "_resolution", "_sigma", "_strain")
     ]
 
 
