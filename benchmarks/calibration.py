@@ -328,8 +328,8 @@ def seconds(width: int) -> tuple[float, str, str]:
 
 def picture(maps: dict[str, tuple[np.ndarray, np.ndarray]], scores: np.ndarray, errors: np.ndarray) -> Figure:
     """Draw the error of z for the fitted model and the paper's, and the distribution of the z-scores."""
-    figure = Figure(figsize=(10, 7.5), layout="constrained")
-    grid = figure.subplots(3, 3)
+    figure = Figure(figsize=(12, 7.5), layout="constrained")
+    grid = figure.subplots(3, len(maps))
     for axes, (name, (rendered_error, paper_error)) in zip(grid[:2].T, maps.items(), strict=True):
         top = max(float(np.nanpercentile(np.abs(paper_error), 99)), 1e-3)
         # the middle alone: thinned out, fine waves would show others that are not there
@@ -351,7 +351,8 @@ def picture(maps: dict[str, tuple[np.ndarray, np.ndarray]], scores: np.ndarray, 
     grid[2, 1].hist(errors, 30, color="#e2b48a")
     grid[2, 1].set_title("error of z that the calibration leaves", fontsize=9)
     grid[2, 1].set_xlabel("µm RMS on a sphere")
-    grid[2, 2].axis("off")
+    for axes in grid[2, 2:]:
+        axes.axis("off")
     return figure
 
 

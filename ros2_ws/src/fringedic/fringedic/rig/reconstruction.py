@@ -234,16 +234,15 @@ def _add_variances(
         for cell in range(cells):
             first = 0 if cell == 0 else borders[cell - 1]
             end = result.shape[2] if cell == cells - 1 else borders[cell]
-            a0, a1, a2, a3, a4 = at[cell, k, 0], at[cell, k, 1], at[cell, k, 2], at[cell, k, 3], at[cell, k, 4]
-            b0, b1, b2, b3, b4 = to[cell, k, 0], to[cell, k, 1], to[cell, k, 2], to[cell, k, 3], to[cell, k, 4]
             begin = result.dtype.type(cell)  # an integer would promote everything to 64 bits
+            a, b = at[cell, k], to[cell, k]
             for j in range(first, end):
                 along = where[j] - begin
                 z = heights[j] * per_height
                 z = z if z < one else one
                 z = z if z > -one else -one
-                at_left = a0 + z * (a1 + z * (a2 + z * (a3 + z * a4)))
-                growth = b0 + z * (b1 + z * (b2 + z * (b3 + z * b4)))
-                variance = at_left + along * growth
-                variance = variance if variance > zero else zero
+                variance = a[HEIGHT_POWERS - 1] + along * b[HEIGHT_POWERS - 1]
+                for power in range(HEIGHT_POWERS - 2, -1, -1):
+                    variance = variance * z + (a[power] + along * b[power])
+                variance = zero if variance < zero else variance
                 sigmas[j] = np.sqrt(sigmas[j] * sigmas[j] + variance)

@@ -132,7 +132,8 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
     -------
     coefficients : ndarray
         float64, shape (65, 65, 3, 11): coefficients of the powers of z / scale of the variances of x, y and z [m^2], on
-        a regular grid of 65 x 65 points from the first to the last pixel of the image.
+        a regular grid of 65 x 65 points from the first to the last pixel of the image. NaN where a line of sight meets
+        no fringe at one of the heights.
     scale : float
         Unit of the heights [m]; the polynomials hold for |z| <= scale.
     """
@@ -144,11 +145,14 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
         heights,
         indexing="ij",
     )
-    variances = np.sum(position_errors(geometry, column, row, z, orientation) ** 2, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variances = np.sum(position_errors(geometry, column, row, z, orientation) ** 2, axis=0)
     # relative errors are fitted, because variances at different heights differ by powers of ten
     powers = np.vander(heights / scale, HEIGHT_POWERS, increasing=True)
     relative = powers / np.maximum(variances, _SMALLEST)[..., None]
-    coefficients = np.linalg.pinv(relative).sum(axis=-1)
+    met = np.isfinite(variances).all(axis=-1)  # elsewhere no fringe meets the line of sight
+    coefficients = np.full((*met.shape, HEIGHT_POWERS), np.nan)
+    coefficients[met] = np.linalg.pinv(relative[met]).sum(axis=-1)
     return np.ascontiguousarray(np.moveaxis(coefficients, 0, 2)), scale
 
 

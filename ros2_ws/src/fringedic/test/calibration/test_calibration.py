@@ -583,6 +583,23 @@ def test_sigmas_hold_over_repeated_calibrations() -> None:
     assert 0.4 < scores["step"] < 1.6, scores["step"]
 
 
+@pytest.mark.parametrize("part", [-0.09, -0.04, 0.0, 0.05, 0.09])
+def test_sigma_of_surfaces_far_from_the_reference_plane(part: float) -> None:
+    """The map of variances holds up to a tenth of the camera's distance, to both sides."""
+    bench = Bench(DISTORTED)
+    rig = bench.calibrate(noisy(bench.planes(ANGLES[:7]), 1), ANGLES[:7]).model
+    column, row = np.meshgrid(np.arange(rig.camera_width), np.arange(rig.camera_height))
+    z = np.full(column.shape, part * rig.camera_distance)
+    rays = np.stack([column, row, np.ones(column.shape)], axis=-1) @ rig.ray_matrix.T
+    along = (z - rig.camera_distance) / rays[..., 2]
+    phase = rig.phase(along * rays[..., 0], along * rays[..., 1], z, PITCH)
+    measured = rig.reconstruct(phase, PITCH, np.zeros_like(phase))
+    assert np.allclose(measured.z, z, atol=1e-9)
+    exact = np.sqrt(np.sum(position_errors(rig, column, row, z) ** 2, axis=0))
+    for name, expected in zip(("sigma_x", "sigma_y", "sigma_z"), exact, strict=True):
+        np.testing.assert_allclose(measured[name], expected, rtol=0.02, atol=1e-12, err_msg=name)
+
+
 def test_sigma_of_float32_images_and_crops() -> None:
     bench = Bench(DISTORTED)
     calibration = bench.calibrate(noisy(bench.planes(ANGLES[:7]), 1), ANGLES[:7])
