@@ -152,7 +152,7 @@ def test_forecast_follows_steps_images_holds_and_moves() -> None:
     deep = forecast(rig(camera={"pixel_format": "Mono12"}), short)
     assert deep.size == pytest.approx(base.size + 24 * 800_000)
     raw = forecast(rig(recording={"derived": False}), short)
-    assert base.size - raw.size == pytest.approx(2 * 800_000 * 131)  # of maps, preview and clouds at every pixel
+    assert base.size - raw.size == pytest.approx(2 * 800_000 * 143)  # of maps, preview and clouds at every pixel
     later = forecast(rig(recording={"process": False}), short)
     assert later.duration < base.duration  # what is measured at the end is measured in the time for writing
     assert later.duration + later.writing == pytest.approx(base.duration + base.writing)
