@@ -69,11 +69,17 @@ class Speckle:
         y, x = np.mgrid[: self.shape[0], : self.shape[1]].astype(float)
         material_x, material_y = x, y
         if motion is not None:
+            # what remains is turned and stretched back by the mean gradient of the motion
+            corners = [motion(x[at], y[at]) for at in (np.s_[:1, :1], np.s_[:1, -1:], np.s_[-1:, :1])]
+            first, along_x, along_y = (np.array([float(part[0, 0]) for part in each]) for each in corners)
+            gradient = np.stack([(along_x - first) / (x.shape[1] - 1), (along_y - first) / (x.shape[0] - 1)], axis=1)
+            back = np.linalg.inv(np.eye(2) + gradient)
             for _ in range(100):
                 dx, dy = motion(material_x, material_y)
-                moved = max(np.abs(x - dx - material_x).max(), np.abs(y - dy - material_y).max())
-                material_x, material_y = x - dx, y - dy
-                if moved < 1e-7:
+                left_x, left_y = material_x + dx - x, material_y + dy - y
+                material_x = material_x - (back[0, 0] * left_x + back[0, 1] * left_y)
+                material_y = material_y - (back[1, 0] * left_x + back[1, 1] * left_y)
+                if max(np.abs(left_x).max(), np.abs(left_y).max()) < 1e-7:
                     break
             else:
                 raise ArithmeticError("the motion cannot be inverted by iteration")

@@ -124,7 +124,9 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     estimate = np.empty((5, *shape), f4)
     gain, area = window.gains.noise, 4 * np.pi * window.deviation**2
     tau_factor = DERIVATIVE_NOISE / 2 * cell2
-    node_kernels.estimate_uncertainty(field.nodes, cells, sums, NOISE_GAIN, (gain, area), tau_factor, TEXTURE, estimate)
+    # a motion with a frame of its own passes all parts of a pixel within a window
+    kept = NOISE_GAIN if field.frame.motion is None else np.full_like(NOISE_GAIN, NOISE_GAIN.mean())
+    node_kernels.estimate_uncertainty(field.nodes, cells, sums, kept, (gain, area), tau_factor, TEXTURE, estimate)
     sigma, tau, rich, own = estimate[:2], estimate[2], estimate[3:4], estimate[4]
     covered = np.empty_like(rich)
     node_kernels.apply_window(rich, window.taps, covered)
@@ -140,7 +142,8 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     sigma = np.hypot(noise * sigma, _estimate_truncation(field.nodes[:2], rich[0], covered[0], window))
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])
-    return Nodes(field.nodes[:2], np.where(valid, sigma, usual), valid)
+    sigma = field.frame.turn_sigma(np.where(valid, sigma, usual))
+    return Nodes(field.frame.total(field.nodes[:2], 0, window.cell), sigma, valid)
 
 
 def _estimate_truncation(displacement: np.ndarray, rich: np.ndarray, covered: np.ndarray, window: Window) -> np.ndarray:

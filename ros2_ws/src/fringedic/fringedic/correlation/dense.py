@@ -10,6 +10,9 @@ W is a Gaussian and S = 1 - (1 - V)^ORDER with V a narrower Gaussian; `transfer`
 point. Updating without the predictor would amplify noise with every iteration. The sums over pixels are computed once
 per warp and per cell of a few pixels; the fixed point is iterated on the cells, where a step costs little.
 
+The gradient of f is that of g(x + d) by d only as long as the surface hardly turns and stretches. A large affine part
+of the motion is therefore a frame of its own, see `start.AffineFrame`: d is what remains in the frame of f.
+
 References
 ----------
 B. D. Lucas, T. Kanade (1981), An iterative image registration technique with an application to stereo vision, IJCAI,
@@ -28,7 +31,7 @@ from fringedic.correlation import cell_kernels, node_kernels, resampling_kernels
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.interpolation import WEIGHTS
 from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, change_level, count_nodes, fit_spline
-from fringedic.correlation.start import WIDEST, estimate_global_motion, make_affine_nodes
+from fringedic.correlation.start import WIDEST, AffineFrame, estimate_global_motion, fit_motion, make_affine_nodes
 from fringedic.correlation.transfer import NARROWER, ORDER
 from fringedic.correlation.window import Window, design_window, window_at_level
 from fringedic.errors import CorrelationError, ErrorCode
@@ -71,8 +74,10 @@ class Field:
 
     Attributes
     ----------
+    frame
+        The affine part of the motion, beside which displacements count.
     nodes : (4, node row, node column)
-        d_x, d_y [px of the level], gain and offset of the deformed image.
+        d_x, d_y [px of the level] in this frame, gain and offset of the deformed image.
     moved : (2, node row, node column)
         Change of d_x and d_y since the sums were computed.
     cells : (CHANNELS, node row, node column)
@@ -81,6 +86,7 @@ class Field:
         The first of them through the window.
     """
 
+    frame: AffineFrame
     nodes: np.ndarray
     moved: np.ndarray
     cells: np.ndarray
@@ -123,8 +129,16 @@ def _fit_planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
 class _LevelPair:
     """Reference and deformed image on one level, and the arrays that every warp fills again."""
 
-    def __init__(self, level: Level, deformed: np.ndarray, window: Window, limits: tuple[float, float]) -> None:
-        self.level, self.window, self.limits = level, window, limits
+    def __init__(
+        self,
+        level: Level,
+        deformed: np.ndarray,
+        window: Window,
+        limits: tuple[float, float],
+        frame: AffineFrame,
+        k: int,
+    ) -> None:
+        self.level, self.window, self.limits, self.frame, self.k = level, window, limits, frame, k
         self.images = cell_kernels.ImagePair(level.values, level.along_x, level.along_y, fit_spline(deformed), WEIGHTS)
         rows, columns = count_nodes(level.shape, window.cell)
         self.lines = np.empty((4, rows + 4, level.shape[1]), f4)
@@ -140,7 +154,7 @@ class _LevelPair:
         those of a displacement that the window does not resolve, see `node_kernels.bound_unresolved`.
         """
         cell = self.window.cell
-        resampling_kernels.upsample_nodes(nodes, cell, self.lines)
+        resampling_kernels.upsample_nodes(self.frame.total(nodes, self.k, cell), cell, self.lines)
         noise = estimate_noise(self.images, self.lines, cell)
         limit = OUTLIER * np.hypot(noise, expected * self.level.slope)
         images, lines, unresolved = self.images, self.lines, self.unresolved
@@ -196,21 +210,23 @@ def estimate_nodes(
     """
     last = len(levels) - 1
     if initial is not None:
-        top = min(last, PREDICTION_LEVEL)
+        top, source = min(last, PREDICTION_LEVEL), (0, design_window(width).cell)
+        frame = AffineFrame.of(fit_motion(initial, source[1]))
         nodes = np.empty((4, *initial.shape[1:]), f4)
-        nodes[:2], nodes[2], nodes[3] = initial, photometry.gain, photometry.offset
-        target = (top, window_at_level(width, top).cell)
-        nodes = change_level(nodes, (0, design_window(width).cell), target, levels[top].shape)
+        nodes[2], nodes[3] = photometry.gain, photometry.offset
+        nodes[:2] = frame.inside(initial, *source)
+        nodes = change_level(nodes, source, (top, window_at_level(width, top).cell), levels[top].shape)
     else:
         top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
         motion = estimate_global_motion(reference, deformed)
-        cell = window_at_level(width, top).cell
+        frame, cell = AffineFrame.of(motion), window_at_level(width, top).cell
         nodes = make_affine_nodes(motion, top, levels[top].shape, cell, photometry.gain, photometry.offset)
+        nodes[:2] = frame.inside(nodes[:2], top, cell)
     for k in range(top, -1, -1):
         window = window_at_level(width, k)
         if k < top:
             nodes = change_level(nodes, (k + 1, window_at_level(width, k + 1).cell), (k, window.cell), levels[k].shape)
-        pair = _LevelPair(levels[k], deformed[k], window, photometry.limits)
+        pair = _LevelPair(levels[k], deformed[k], window, photometry.limits, frame, k)
         if k == top:
             # Shading first: mean and contrast of every window, before any residual is called an outlier.
             pair.warp(nodes, np.inf)
@@ -224,4 +240,4 @@ def estimate_nodes(
             smooth = np.empty_like(nodes[:2])
             node_kernels.filter_median(nodes[:2], smooth)
             nodes[:2] = smooth
-    return Field(nodes, pair.moved, pair.cells, pair.sums)
+    return Field(frame, nodes, pair.moved, pair.cells, pair.sums)

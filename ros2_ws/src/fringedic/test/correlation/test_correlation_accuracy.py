@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from fringedic.correlation import Reference, measure_displacement
+from fringedic.correlation import Reference, keypoints, measure_displacement
+from fringedic.correlation.pyramid import build_pyramid
 
 
 def errors_of(field, motion):
@@ -163,6 +164,39 @@ def test_large_motion_without_prediction(speckle, expose, motion, target):
     assert rms <= target, f"RMSE {rms:.4f} px"
     assert np.nanmax(abs(e)) < 0.1
     assert field.valid.mean() > 0.5
+
+
+@pytest.mark.parametrize("degrees", [20, 45, 90, 135, 180])
+def test_any_rotation_without_prediction(speckle, expose, degrees):
+    """Keypoints lead to it, and the gradient turns with the surface: error and sigma are those at rest."""
+    motion = affine(degrees=degrees, dx=4.3, dy=-2.6, middle=(239.5, 239.5))
+    surface = speckle((480, 480), 105)
+    field = measure_displacement(expose(surface.grey(), 10, 1), expose(surface.grey(motion), 10, 2), spacing=4)
+    e = errors_of(field, motion)
+    assert field.valid.mean() > 0.65
+    assert float(np.sqrt(np.nanmean(e**2))) < 0.006
+    z = np.array([e[0] / field.sigma_x, e[1] / field.sigma_y])
+    assert 0.85 < float(np.sqrt(np.nanmean(z**2))) < 1.15
+    assert float(np.nanmax(np.abs(z))) < 6
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_keypoints_of_a_level_give_the_motion_of_the_full_image(speckle, level, monkeypatch):
+    motion = affine(0.1, -0.05, 30, 20, 12, middle=(239.5, 239.5))
+    surface = speckle((480, 480), 106)
+    monkeypatch.setattr(keypoints, "WIDEST", 480 >> level)
+    found = keypoints.match_keypoints(
+        *(build_pyramid(each.astype(np.float32)) for each in (surface.grey(), surface.grey(motion)))
+    )
+    row, column = np.mgrid[100:400:50, 100:400:50].astype(float)
+    expected = np.stack(motion(column, row))
+    predicted = found @ np.stack([np.ones(row.size), column.ravel(), row.ravel()])
+    assert np.abs(predicted - expected.reshape(2, -1)).max() < 0.5
+
+
+def test_keypoints_of_another_surface_give_no_motion(speckle):
+    images = [speckle((480, 480), seed).grey().astype(np.float32) for seed in (107, 108)]
+    assert keypoints.match_keypoints(*(build_pyramid(image) for image in images)) is None
 
 
 @pytest.mark.parametrize(
