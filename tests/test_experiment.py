@@ -155,7 +155,7 @@ def test_the_run_ends_with_its_report(experiment: RunReport) -> None:
     pictures = re.findall(r'<img alt="([^"]*)" src="data:image/png', page)
     assert Counter(pictures) == {
         "reference image with the measured surface": 1,
-        "maps": 3,
+        "maps": 4,
         "map and histogram of the grey-level residual": 1,
         "map of a step": STEPS,
         "maps of the errors": 1,
