@@ -220,7 +220,7 @@ def _add_variances(
     variances: np.ndarray,
     height: float,
 ) -> None:
-    """Add the variances of the calibration to the sigmas of one row, cell by cell: plain loops that are vectorised."""
+    """Add the variances of the calibration to the sigmas of one row, cell by cell."""
     intervals = variances.shape[3]
     zero, highest = result.dtype.type(0.0), result.dtype.type(intervals)
     middle, per_height = result.dtype.type(intervals / 2), result.dtype.type(intervals / (2.0 * height))

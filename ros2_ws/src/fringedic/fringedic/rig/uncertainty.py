@@ -133,9 +133,9 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
     Returns
     -------
     coefficients : ndarray
-        float64, shape (65, 65, 3, 32, 4): for 32 equal intervals from -scale to scale, coefficients of the variances of
-        x, y and z [m^2] for the powers 0 to 3 of the part of the interval below the height. On a regular grid of 65 x
-        65 points from the first to the last pixel of the image. NaN where a line of sight meets no fringe at one of the
+        float64, shape (49, 49, 3, 32, 4): for 32 equal intervals from -scale to scale, coefficients of the variances of
+        x, y and z [m^2] for the powers 0 to 3 of the part of the interval below the height. On a regular grid of 49 x
+        49 points from the first to the last pixel of the image. NaN where a line of sight meets no fringe at one of the
         heights.
     scale : float
         Largest height of the map [m], on both sides of the reference plane.
@@ -157,10 +157,11 @@ def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.nd
 
 
 def _positive_cubics(values: np.ndarray) -> np.ndarray:
-    """Return coefficients (..., interval, 4) of cubics through positive values (..., border), with continuous slopes.
+    """Return coefficients (..., interval, 4) of positive cubics through values (..., border), with continuous slopes.
 
-    Slopes are those of a spline of the logarithm, limited so that no cubic leaves the values at its ends (F. N.
-    Fritsch, R. E. Carlson, "Monotone piecewise cubic interpolation", SIAM J. Numer. Anal. 17, 238-246, 1980).
+    Slopes are those of a spline of the logarithm; three times the value is the steepest with which a cubic is positive
+    for certain (J. W. Schmidt, W. Hess, "Positivity of cubic polynomials on intervals and positive spline
+    interpolation", BIT 28, 340-352, 1988).
     """
     borders = np.arange(values.shape[-1])
     slopes = values * CubicSpline(borders, np.log(values), axis=-1)(borders, 1)
