@@ -13,7 +13,7 @@ from fringedic.errors import ImageError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import RigGeometry
 from fringedic.rig.projector_lens import ProjectorLens, distorted
-from fringedic.rig.uncertainty import GRID, HEIGHT_POWERS, variance_map
+from fringedic.rig.uncertainty import GRID, HEIGHT_INTERVALS, variance_map
 
 _NEWTON_STEPS = 6  # from the undistorted intersection; two or three are usually enough
 _NEWTON_ENDS = 1e-7  # relative size of the last step: convergence is quadratic, the next step would be 1e-14
@@ -100,7 +100,7 @@ def reconstruct_surface(
     # the projector's axes in the order: across the fringes, along them, backward
     axes = geometry.projector_axes.T[[0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]]
     distortion = geometry.camera_distortion
-    unknown = (np.empty((0, 0, 3, HEIGHT_POWERS)), 1.0)
+    unknown = (np.empty((0, 0, 3, HEIGHT_INTERVALS, 4)), 1.0)
     coefficients, height = variance_map(geometry, orientation) if geometry.covariance else unknown
     reconstruct_image(
         image,
@@ -220,9 +220,10 @@ def _add_variances(
     variances: np.ndarray,
     height: float,
 ) -> None:
-    """Add the variances of the calibration to the sigmas of one row, cell by cell: plain loops that are vectorised."""
-    zero, one = result.dtype.type(0.0), result.dtype.type(1.0)
-    per_height = result.dtype.type(1.0 / height)
+    """Add the variances of the calibration to the sigmas of one row, cell by cell."""
+    intervals = variances.shape[3]
+    zero, highest = result.dtype.type(0.0), result.dtype.type(intervals)
+    middle, per_height = result.dtype.type(intervals / 2), result.dtype.type(intervals / (2.0 * height))
     above = min(int(place), variances.shape[0] - 2)
     share = place - above
     cells = variances.shape[1] - 1
@@ -235,14 +236,17 @@ def _add_variances(
             first = 0 if cell == 0 else borders[cell - 1]
             end = result.shape[2] if cell == cells - 1 else borders[cell]
             begin = result.dtype.type(cell)  # an integer would promote everything to 64 bits
-            a, b = at[cell, k], to[cell, k]
+            left, growth = at[cell, k], to[cell, k]
             for j in range(first, end):
                 along = where[j] - begin
-                z = heights[j] * per_height
-                z = z if z < one else one
-                z = z if z > -one else -one
-                variance = a[HEIGHT_POWERS - 1] + along * b[HEIGHT_POWERS - 1]
-                for power in range(HEIGHT_POWERS - 2, -1, -1):
-                    variance = variance * z + (a[power] + along * b[power])
+                z = middle + heights[j] * per_height
+                z = z if z > zero else zero  # and where the height is not known
+                z = z if z < highest else highest
+                interval = min(np.int64(z), intervals - 1)
+                part = z - result.dtype.type(interval)
+                a, b = left[interval], growth[interval]
+                variance = a[3] + along * b[3]
+                for power in range(2, -1, -1):
+                    variance = variance * part + (a[power] + along * b[power])
                 variance = zero if variance < zero else variance
                 sigmas[j] = np.sqrt(sigmas[j] * sigmas[j] + variance)

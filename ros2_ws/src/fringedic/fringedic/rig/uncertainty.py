@@ -16,17 +16,19 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import RigGeometry, parameter_values, with_parameters
 from fringedic.rig.projector_lens import distorted
 
 # test_sigma_of_float32_images_and_crops: interpolation on this grid reproduces the sigma of every pixel within 2 %
-GRID = 64  # intervals of the variance map along each side of the image
+GRID = 48  # intervals of the variance map along each side of the image
 HEIGHT_RANGE = 0.1  # of the camera's distance, on both sides of the reference plane; the map is clamped beyond it
-HEIGHT_POWERS = 11  # errors are polynomials of about the fifth degree, variances their squares
-_HEIGHTS = 15  # Chebyshev nodes of the height
-_SMALLEST = 1e-30  # [m^2] avoids a division by zero; (1e-15 m)^2 is far below every measured variance
+# Intervals of the height with a cubic polynomial each. Variances differ by powers of ten within the range, and a
+# polynomial or a spline of all of it becomes negative where they are small: test_sigma_of_a_rig_with_precise_grids.
+HEIGHT_INTERVALS = 32
+_SMALLEST = 1e-30  # [m^2] has a logarithm; (1e-15 m)^2 is far below every measured variance
 _PART = 1e-2  # of a standard deviation: rounding and third order are below 1e-4 of an error
 _NEGLIGIBLE = 1e-13  # of the largest variance among the directions: rounding errors of the eigenvalues
 _NEWTON_STEPS = 4  # converges quadratically from the undistorted intersection
@@ -126,34 +128,47 @@ def displacement_variance(
 
 @lru_cache(maxsize=8)
 def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.ndarray, float]:
-    """Return the variances due to the calibration as polynomials of the height, on a grid over the image.
+    """Return the variances due to the calibration as splines of the height, on a grid over the image.
 
     Returns
     -------
     coefficients : ndarray
-        float64, shape (65, 65, 3, 11): coefficients of the powers of z / scale of the variances of x, y and z [m^2], on
-        a regular grid of 65 x 65 points from the first to the last pixel of the image. NaN where a line of sight meets
-        no fringe at one of the heights.
+        float64, shape (49, 49, 3, 32, 4): for 32 equal intervals from -scale to scale, coefficients of the variances of
+        x, y and z [m^2] for the powers 0 to 3 of the part of the interval below the height. On a regular grid of 49 x
+        49 points from the first to the last pixel of the image. NaN where a line of sight meets no fringe at one of the
+        heights.
     scale : float
-        Unit of the heights [m]; the polynomials hold for |z| <= scale.
+        Largest height of the map [m], on both sides of the reference plane.
     """
     scale = HEIGHT_RANGE * geometry.camera_distance
-    heights = scale * np.cos(np.pi * (np.arange(_HEIGHTS) + 0.5) / _HEIGHTS)
+    borders = np.arange(HEIGHT_INTERVALS + 1)
     row, column, z = np.meshgrid(
         np.linspace(0, geometry.camera_height - 1, GRID + 1),
         np.linspace(0, geometry.camera_width - 1, GRID + 1),
-        heights,
+        scale * (2 * borders / HEIGHT_INTERVALS - 1),
         indexing="ij",
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         variances = np.sum(position_errors(geometry, column, row, z, orientation) ** 2, axis=0)
-    # relative errors are fitted, because variances at different heights differ by powers of ten
-    powers = np.vander(heights / scale, HEIGHT_POWERS, increasing=True)
-    relative = powers / np.maximum(variances, _SMALLEST)[..., None]
     met = np.isfinite(variances).all(axis=-1)  # elsewhere no fringe meets the line of sight
-    coefficients = np.full((*met.shape, HEIGHT_POWERS), np.nan)
-    coefficients[met] = np.linalg.pinv(relative[met]).sum(axis=-1)
+    coefficients = np.full((*met.shape, HEIGHT_INTERVALS, 4), np.nan)
+    coefficients[met] = _positive_cubics(np.maximum(variances[met], _SMALLEST))
     return np.ascontiguousarray(np.moveaxis(coefficients, 0, 2)), scale
+
+
+def _positive_cubics(values: np.ndarray) -> np.ndarray:
+    """Return coefficients (..., interval, 4) of positive cubics through values (..., border), with continuous slopes.
+
+    Slopes are those of a spline of the logarithm; three times the value is the steepest with which a cubic is positive
+    for certain (J. W. Schmidt, W. Hess, "Positivity of cubic polynomials on intervals and positive spline
+    interpolation", BIT 28, 340-352, 1988).
+    """
+    borders = np.arange(values.shape[-1])
+    slopes = values * CubicSpline(borders, np.log(values), axis=-1)(borders, 1)
+    slopes = np.clip(slopes, -3 * values, 3 * values)
+    first, last, at_first, at_last = values[..., :-1], values[..., 1:], slopes[..., :-1], slopes[..., 1:]
+    rise = last - first
+    return np.stack([first, at_first, 3 * rise - 2 * at_first - at_last, at_first + at_last - 2 * rise], axis=-1)
 
 
 def _directions(geometry: RigGeometry) -> np.ndarray:
