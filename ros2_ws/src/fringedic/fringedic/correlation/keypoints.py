@@ -90,6 +90,9 @@ def _fewest_matches(number: int, pixels: int) -> int:
 def _as_bytes(image: np.ndarray) -> np.ndarray:
     """Return grey levels as 8 bits; the mean where nothing is known."""
     known = np.isfinite(image)
+    if not known.any():
+        return np.zeros(image.shape, np.uint8)
     low, high = np.percentile(image[known], _RANGE)
     levels = (np.where(known, image, image[known].mean()) - low) * (255 / max(high - low, 1e-12))
-    return np.clip(levels, 0, 255).astype(np.uint8)
+    grey: np.ndarray = np.clip(levels, 0, 255).astype(np.uint8)
+    return grey

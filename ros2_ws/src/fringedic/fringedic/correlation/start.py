@@ -72,22 +72,21 @@ class AffineFrame:
         """Return nodes (2 or more channels) of level k with the displacement from the reference in the first two."""
         if self.motion is None:
             return nodes
+        base = _evaluate_affine(self.motion, k, (nodes.shape[1], nodes.shape[2]), cell)
         total = nodes.copy()
-        total[:2] = self._base(nodes, k, cell) + self._turned(self.matrix, nodes[:2])
+        total[:2] = base + self._turned(self.matrix, nodes[:2])
         return total
 
     def inside(self, displacement: np.ndarray, k: int, cell: int) -> np.ndarray:
         """Return the displacement (2, node row, node column) in the frame, the inverse of `total`."""
         if self.motion is None:
             return displacement
-        return self._turned(np.linalg.inv(self.matrix), displacement - self._base(displacement, k, cell))
+        base = _evaluate_affine(self.motion, k, (displacement.shape[1], displacement.shape[2]), cell)
+        return self._turned(np.linalg.inv(self.matrix), displacement - base)
 
     def turn_sigma(self, sigma: np.ndarray) -> np.ndarray:
         """Return the standard uncertainty (2, ...) along x and y of the image from that along those of the frame."""
         return sigma if self.motion is None else np.sqrt(self._turned(self.matrix**2, sigma**2))
-
-    def _base(self, nodes: np.ndarray, k: int, cell: int) -> np.ndarray:
-        return _evaluate_affine(self.motion, k, (nodes.shape[1], nodes.shape[2]), cell)
 
     @staticmethod
     def _turned(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
