@@ -13,7 +13,8 @@ import yaml
 from camera_node.camera_node import CameraNode
 from coupling_node.coupling_node import CouplingNode
 from dic_node.dic_node import DicNode
-from fringedic.steps.shape_tracker import DISPLACEMENT_FIELDS, STRAIN_FIELDS
+from fringedic.steps.shape_tracker import DISPLACEMENT_FIELDS
+from fringedic.steps.step_results import STRAIN_FIELDS
 from fringedic_ros.rig_node import RIG_FRAME, frame_id
 
 FILE = Path(__file__).parent.parent / "rviz" / "fringedic.rviz"

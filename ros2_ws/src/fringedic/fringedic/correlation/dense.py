@@ -11,7 +11,7 @@ point. Updating without the predictor would amplify noise with every iteration. 
 per warp and per cell of a few pixels; the fixed point is iterated on the cells, where a step costs little.
 
 The gradient of f is that of g(x + d) by d only as long as the surface hardly turns and stretches. A large affine part
-of the motion is therefore a frame of its own, see `start.AffineFrame`: d is what remains in the frame of f.
+of the motion is therefore a frame of its own, see `affine.AffineFrame`: d is what remains in the frame of f.
 
 References
 ----------
@@ -28,10 +28,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fringedic.correlation import cell_kernels, node_kernels, resampling_kernels
+from fringedic.correlation.affine import AffineFrame, fit_motion, make_affine_nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.interpolation import WEIGHTS
-from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, change_level, count_nodes, fit_spline
-from fringedic.correlation.start import WIDEST, AffineFrame, estimate_global_motion, fit_motion, make_affine_nodes
+from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, change_level, count_nodes, find_level, fit_spline
+from fringedic.correlation.start import WIDEST, estimate_global_motion
 from fringedic.correlation.transfer import NARROWER, ORDER
 from fringedic.correlation.window import Window, design_window, window_at_level
 from fringedic.errors import CorrelationError, ErrorCode
@@ -208,16 +209,15 @@ def estimate_nodes(
     photometry
         Brightness and saturation of the deformed image.
     """
-    last = len(levels) - 1
     if initial is not None:
-        top, source = min(last, PREDICTION_LEVEL), (0, design_window(width).cell)
+        top, source = min(len(levels) - 1, PREDICTION_LEVEL), (0, design_window(width).cell)
         frame = AffineFrame.of(fit_motion(initial, source[1]))
         nodes = np.empty((4, *initial.shape[1:]), f4)
         nodes[2], nodes[3] = photometry.gain, photometry.offset
         nodes[:2] = frame.inside(initial, *source)
         nodes = change_level(nodes, source, (top, window_at_level(width, top).cell), levels[top].shape)
     else:
-        top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
+        top = find_level(reference, WIDEST)
         motion = estimate_global_motion(reference, deformed)
         frame, cell = AffineFrame.of(motion), window_at_level(width, top).cell
         nodes = make_affine_nodes(motion, top, levels[top].shape, cell, photometry.gain, photometry.offset)

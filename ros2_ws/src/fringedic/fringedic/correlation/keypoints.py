@@ -16,6 +16,8 @@ import math
 import cv2
 import numpy as np
 
+from fringedic.correlation.pyramid import find_level
+
 WIDEST = 1600  # [px] of the level that is used: keypoints of more pixels need gigabytes and find nothing else
 MOST_KEYPOINTS = 5000  # the strongest of each image
 DISTINCT = 0.85  # largest ratio of the distances of descriptors to the nearest and to the second keypoint
@@ -40,7 +42,7 @@ def match_keypoints(reference: list[np.ndarray], deformed: list[np.ndarray]) -> 
         Displacement at the corner pixel (0, 0) and its derivatives by x and by y; None where so few matches agree that
         matches without any relation would do so with a probability above `FALSE_ALARM`.
     """
-    k = next((k for k, level in enumerate(reference) if max(level.shape) <= WIDEST), len(reference) - 1)
+    k = find_level(reference, WIDEST)
     detector = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS)
     places, descriptors = [], []
     for image in (reference[k], deformed[k]):
@@ -54,11 +56,13 @@ def match_keypoints(reference: list[np.ndarray], deformed: list[np.ndarray]) -> 
         for first, second in cv2.BFMatcher.create().knnMatch(descriptors[0], descriptors[1], k=2)
         if first.distance < DISTINCT * second.distance
     ]
-    # a keypoint with several directions counts once
-    matches = {places[0][each.queryIdx].tobytes(): (each.queryIdx, each.trainIdx) for each in pairs}
+    # Each place counts once in each image: keypoints may have several directions, and many that resemble one other.
+    matches = [(each.queryIdx, each.trainIdx) for each in pairs]
+    for i in (1, 0):
+        matches = list({places[i][match[i]].tobytes(): match for match in matches}.values())
     if len(matches) < 3:
         return None
-    before, after = (places[i][[pair[i] for pair in matches.values()]] for i in (0, 1))
+    before, after = (places[i][[match[i] for match in matches]] for i in (0, 1))
     affine, agreed = cv2.estimateAffine2D(
         before, after, ransacReprojThreshold=TOLERANCE, maxIters=_MOST_SAMPLES, confidence=_CERTAINTY
     )

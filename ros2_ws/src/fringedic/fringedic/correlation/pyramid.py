@@ -52,6 +52,11 @@ def build_pyramid(image: np.ndarray) -> list[np.ndarray]:
     return levels
 
 
+def find_level(images: list[np.ndarray], widest: int) -> int:
+    """Return the finest level whose longer side is at most `widest` [px], or the coarsest one."""
+    return next((k for k, image in enumerate(images) if max(image.shape) <= widest), len(images) - 1)
+
+
 def prepare_level(image: np.ndarray) -> Level:
     """Compute the gradient of an image and the pixels where it is known."""
     values, along_x, along_y = np.empty_like(image), np.empty_like(image), np.empty_like(image)

@@ -16,7 +16,7 @@ from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.references import LatestSteps, StepKey, check_fraction, no_reference, size_mismatch
 from fringedic.steps.remarks import corrections_text
 from fringedic.steps.statistics import measured_part_and_rms
-from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
+from fringedic.steps.step_results import STRAIN_FIELDS, CouplingResult, DicResult, PhaseResult
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.nearest_order import nearest_order_to_plane
 from fringedic.surface.shading import LitTexture
@@ -26,8 +26,6 @@ _VECTORS = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
 _NOISE = ("noise_z", "noise_z_deformed")
 _LOCAL = ("u_t", "v_t", "w_n")
 _NONE_YET = "no calibration yet: publish one on 'calibration', or process the recording with --calibration FILE"
-_STRAINS = ("e_11", "e_22", "e_12")
-STRAIN_FIELDS = (*_STRAINS, *(f"{kind}_{name}" for kind in ("sigma", "resolution") for name in _STRAINS))
 DISPLACEMENT_FIELDS = (*_VECTORS, *_NOISE, *_LOCAL, *STRAIN_FIELDS)
 """Fields of the displacement of a step, when all are asked for."""
 

@@ -12,6 +12,10 @@ from fringedic.phase.findings import Finding
 from fringedic.steps.drift_marker import MarkerMotion
 from fringedic.steps.remarks import Correction
 
+_STRAINS = ("e_11", "e_22", "e_12")
+STRAIN_FIELDS = (*_STRAINS, *(f"{kind}_{name}" for kind in ("sigma", "resolution") for name in _STRAINS))
+"""Strain of a step with its standard deviations and smoothing errors."""
+
 
 @dataclass(frozen=True)
 class PhaseResult:
@@ -179,11 +183,7 @@ class CouplingResult:
         """
         if "e_11" not in self.displacement:
             return None
-        names = [
-            name
-            for name in self.displacement
-            if str(name).removeprefix("sigma_").removeprefix("resolution_").startswith("e_")
-        ]
+        names = [name for name in STRAIN_FIELDS if name in self.displacement]
         measured = np.logical_and.reduce([np.isfinite(self.displacement[name].values) for name in names])
         places = self.displacement[["x", "y", "z"]].where(xr.Variable(("row", "column"), measured))
         return places.assign({name: self.displacement[name] for name in names})

@@ -8,6 +8,7 @@ from scipy.ndimage import binary_erosion
 
 from fringedic.correlation import Reference, keypoints, measure_displacement
 from fringedic.correlation.pyramid import build_pyramid
+from fringedic.errors import CorrelationError
 
 
 def errors_of(field, motion):
@@ -192,6 +193,15 @@ def test_keypoints_of_a_level_give_the_motion_of_the_full_image(speckle, level, 
     expected = np.stack(motion(column, row))
     predicted = found @ np.stack([np.ones(row.size), column.ravel(), row.ravel()])
     assert np.abs(predicted - expected.reshape(2, -1)).max() < 0.5
+
+
+@pytest.mark.parametrize(("by_x", "by_y"), [(-1.0, -1.0), (-2.0, 0.0)], ids=["to one point", "mirrored"])
+def test_an_impossible_prediction_is_refused_in_a_sentence(speckle, expose, by_x, by_y):
+    surface = speckle((240, 320), 109)
+    row, column = np.mgrid[:240:4, :320:4].astype(float)
+    initial = by_x * (column - 160), by_y * (row - 120)
+    with pytest.raises(CorrelationError, match=r"does not correlate|no pixel of the reference"):
+        measure_displacement(expose(surface.grey(), 10, 1), expose(surface.grey(), 10, 2), spacing=4, initial=initial)
 
 
 def test_keypoints_of_another_surface_give_no_motion(speckle):

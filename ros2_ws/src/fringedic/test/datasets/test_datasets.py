@@ -47,7 +47,8 @@ from fringedic.steps.displacement_tracker import DisplacementTracker, white_text
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import StepSettings
-from fringedic.steps.shape_tracker import STRAIN_FIELDS, ShapeTracker
+from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.steps.step_results import STRAIN_FIELDS
 from fringedic.surface import surface_strain
 from fringedic.virtual_rig import VirtualRig
 
