@@ -65,13 +65,26 @@ def adjust_determination(correlation: np.ndarray, speckles: np.ndarray) -> np.nd
     return np.asarray(1 - (1 - np.clip(correlation, 0, 1) ** 2) * freedom / np.maximum(freedom - 4, freedom / 10))
 
 
-def count_textured_cells(level: Level, cell: int) -> int:
-    """Count the cells of a reference with a tenth of the gradient energy of its richest parts: a match is expected."""
+def find_textured_cells(level: Level, cell: int) -> np.ndarray:
+    """Return which cells of a reference have a tenth of the gradient energy of its richest parts: a match is expected.
+
+    Parameters
+    ----------
+    level
+        The finest of the reference.
+    cell
+        Side of the cells [px].
+
+    Returns
+    -------
+    ndarray
+        bool (node row, node column).
+    """
     cells = np.empty((cell_kernels.GYY + 1, *count_nodes(level.shape, cell)), f4)
     cell_kernels.accumulate_gradients(level.along_x, level.along_y, cell, cells)
     energy = np.empty(cells.shape[1:], f4)
     node_kernels.average_gradient_energy(cells, energy)
-    return int(np.count_nonzero(energy > 0.1 * np.quantile(energy, 0.95)))
+    return np.asarray(energy > 0.1 * np.quantile(energy, 0.95))
 
 
 def check_agreement(agreed: int, offered: int) -> None:

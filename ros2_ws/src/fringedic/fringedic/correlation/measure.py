@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.correlation import dense, image_kernels, pyramid, resampling_kernels, zoi
-from fringedic.correlation.agreement import assess, count_textured_cells
+from fringedic.correlation import image_kernels, zoi
 from fringedic.correlation.images import (
     measure_grey_range,
     measure_photometry,
@@ -17,7 +17,7 @@ from fringedic.correlation.images import (
     require_mask,
     require_window,
 )
-from fringedic.correlation.window import design_window
+from fringedic.correlation.points import Prepared, measure_points
 from fringedic.errors import CorrelationError, ImageError
 from fringedic.wording.arguments import array, check_arguments, either, optional, several, whole
 
@@ -70,10 +70,7 @@ class Reference:
         values = self.normalise(array)
         if measured is not None:
             values[~measured] = np.nan
-        self.values = values
-        self.images = pyramid.build_pyramid(values)
-        self.levels = [pyramid.prepare_level(level) for level in self.images]
-        self.textured = count_textured_cells(self.levels[0], design_window(self.window).cell)
+        self.prepared = Prepared.of(values, self.window)
         self.rows = np.arange(0, self.shape[0], self.spacing)
         self.columns = np.arange(0, self.shape[1], self.spacing)
 
@@ -166,32 +163,16 @@ def measure_displacement(
     photometry = measure_photometry(array, reference.mean, reference.deviation)
     values = reference.normalise(array)
     start = None if initial is None else _take_initial(initial, reference)
+    attributes: dict[str, Any] = {"method": method, "window_px": reference.window, "spacing_px": reference.spacing}
     if method == "zoi":
         displacement, sigma = zoi.measure_zones(
-            reference.values, values, reference.window, reference.rows, reference.columns, start
+            reference.prepared.values, values, reference.window, reference.rows, reference.columns, start
         )
         valid = np.isfinite(displacement[0])
     else:
-        design = design_window(reference.window)
-        prediction = None
-        if start is not None and np.isfinite(start).any():
-            prediction = pyramid.sample_initial(start, reference.shape, design.cell, reference.spacing)
-        field = dense.estimate_nodes(
-            reference.levels, reference.images, pyramid.build_pyramid(values), reference.window, prediction, photometry
-        )
-        nodes = assess(field, design, reference.textured)
-        centre = 0.5 * (design.cell - 1)
-        rows, columns = (reference.rows - centre) / design.cell, (reference.columns - centre) / design.cell
-        node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
-        node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
-        lines = np.empty((4, nodes.valid.shape[0] + 4, reference.shape[1]), f4)
-        resampling_kernels.upsample_nodes(np.concatenate([nodes.displacement, nodes.sigma]), design.cell, lines)
-        lines = np.ascontiguousarray(lines[:, :, :: reference.spacing])
-        fields = np.empty((4, rows.size, columns.size), f4)
-        valid = np.empty((rows.size, columns.size), np.bool_)
-        measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])
-        resampling_kernels.evaluate_points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
-        displacement, sigma = fields[:2], fields[2:]
+        found = measure_points(reference.prepared, values, photometry, start, reference.spacing)
+        displacement, sigma, valid = found.displacement, found.sigma, found.valid
+        attributes |= found.attributes
     dimensions = ("row", "column")
     pixels = {"units": "px"}
     return xr.Dataset(
@@ -203,7 +184,7 @@ def measure_displacement(
             "valid": (dimensions, valid, {"long_name": "measured"}),
         },
         {"row": reference.rows, "column": reference.columns},
-        {"method": method, "window_px": reference.window, "spacing_px": reference.spacing},
+        attributes,
     )
 
 
