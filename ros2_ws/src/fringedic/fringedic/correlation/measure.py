@@ -17,7 +17,8 @@ from fringedic.correlation.images import (
     require_mask,
     require_window,
 )
-from fringedic.correlation.points import Prepared, measure_points
+from fringedic.correlation.points import measure_points
+from fringedic.correlation.prepared import Prepared
 from fringedic.errors import CorrelationError, ImageError
 from fringedic.wording.arguments import array, check_arguments, either, optional, several, whole
 

@@ -7,10 +7,13 @@ of them makes the images agree, as after a rotation of 20 degrees, keypoints are
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 import scipy.fft
 
-from fringedic.correlation import cell_kernels, resampling_kernels
+from fringedic.correlation import cell_kernels, image_kernels, resampling_kernels
 from fringedic.correlation.affine import make_affine_nodes
 from fringedic.correlation.interpolation import WEIGHTS
 from fringedic.correlation.keypoints import match_keypoints
@@ -50,8 +53,35 @@ def find_correlation_peak(reference: np.ndarray, deformed: np.ndarray) -> tuple[
     return dx, dy, float(surface[peak] / max(float(surface.std()), 1e-30))
 
 
-def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes: int) -> tuple[np.ndarray, float]:
+@dataclass(frozen=True, eq=False)
+class _Flat:
+    """Both images on a level without their shading, zero where nothing is known of them.
+
+    Attributes
+    ----------
+    level, spline
+        Of the reference and of the deformed image.
+    known : (node row, node column) float32
+        Known part of the pixels of the reference's cells.
+    """
+
+    level: Level
+    spline: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, reference: np.ndarray, deformed: np.ndarray, blurred: bool = False) -> Self:
+        images = [remove_shading(image) for image in (reference, deformed)]
+        if blurred:
+            images = [blur(image) for image in images]
+        known = np.empty(count_nodes((reference.shape[0], reference.shape[1]), CELL), f4)
+        image_kernels.average_cells(np.isfinite(reference).astype(f4), CELL, known)
+        return cls(prepare_level(images[0]), fit_spline(images[1]), known)
+
+
+def _refine(flat: _Flat, k: int, affine: np.ndarray, passes: int) -> tuple[np.ndarray, float]:
     """Refine an affine motion by some Gauss-Newton steps on level k; return it with the correlation coefficient."""
+    level, spline = flat.level, flat.spline
     shape = level.shape
     scale = 2**k
     counts = count_nodes(shape, CELL)
@@ -63,6 +93,9 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
     lines = np.empty((4, counts[0] + 4, shape[1]), f4)
     mean, unresolved = np.empty(counts, f4), np.zeros(counts, f4)
     sums = np.empty((cell_kernels.CHANNELS, *counts), f4)
+    usable = np.empty(counts, f4)
+    image_kernels.average_cells(np.isfinite(level.values).astype(f4), CELL, usable)
+    usable *= CELL**2
     correlation = -1.0
     for _ in range(passes):
         resampling_kernels.upsample_nodes(make_affine_nodes(affine, k, shape, CELL, 1.0, 0.0), CELL, lines)
@@ -83,8 +116,8 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
         right = [np.einsum("iyx,yx->i", basis, s[channel]) for channel in (cell_kernels.GXE, cell_kernels.GYE)]
         change = np.asarray(np.linalg.lstsq(normal, np.concatenate(right), rcond=1e-9)[0].reshape(2, 3))
         affine = affine + change
-        # Pixels that left the image or are outliers count as uncorrelated.
-        seen = s[cell_kernels.W].sum() / np.count_nonzero(np.isfinite(level.values))
+        # Pixels that left the image or are outliers count as uncorrelated, those that are not known do not count.
+        seen = (s[cell_kernels.W] * flat.known).sum() / (usable * flat.known).sum()
         correlation = _correlate(s, seen)
         if np.abs(change @ corners).max() < SETTLED * scale:
             break
@@ -111,16 +144,13 @@ def estimate_global_motion(reference: list[np.ndarray], deformed: list[np.ndarra
             break
     else:
         starts.append(np.zeros((2, 3)))
-    flat = {
-        k: (prepare_level(remove_shading(reference[k])), fit_spline(remove_shading(deformed[k])))
-        for k in range(finest, top + 1)
-    }
-    smooth = prepare_level(blur(remove_shading(reference[top]))), fit_spline(blur(remove_shading(deformed[top])))
+    flat = {k: _Flat.of(reference[k], deformed[k]) for k in range(finest, top + 1)}
+    smooth = _Flat.of(reference[top], deformed[top], blurred=True)
     best, agreement = starts[0], -2.0
     for start in starts:
-        affine, _ = _refine(*smooth, top, start, COARSE_PASSES)
+        affine, _ = _refine(smooth, top, start, COARSE_PASSES)
         for k in range(top, finest - 1, -1):
-            affine, correlation = _refine(*flat[k], k, affine, FINER_PASSES)
+            affine, correlation = _refine(flat[k], k, affine, FINER_PASSES)
         if correlation > agreement:
             best, agreement = affine, correlation
     matched = match_keypoints(reference, deformed) if agreement < AGREES else None

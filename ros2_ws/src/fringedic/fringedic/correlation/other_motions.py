@@ -1,0 +1,141 @@
+"""Parts of a surface that move otherwise than the rest: grips, sliding blocks, hinges, both sides of a tear.
+
+Where texture has no result although its place is inside the deformed image, another motion is sought in what those
+before left of both images. Beside a seam the windows contain both motions, so that each point is given to the motion
+with which the pixels around it agree, or to none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from fringedic.correlation.agreement import Nodes
+from fringedic.correlation.images import Photometry
+from fringedic.correlation.prepared import Prepared
+from fringedic.correlation.pyramid import locate_nodes, remove_shading
+from fringedic.errors import CorrelationError, ErrorCode
+
+f4 = np.float32
+
+MOST_MOTIONS = 5  # of an image; each further one costs a measurement of its own
+_AROUND = 7  # [px], width of the square in which the residuals of two motions are compared
+_CLEARLY = 0.5  # of the other motion's squared residual, which that of a point's motion may have at most
+_DIFFERENT = 1.0  # [px] between motions beyond which they exclude each other
+_CLOSED = np.ones((3, 3), np.uint8)  # gaps of a pixel between places of pixels that a stretch moved apart
+
+
+def find_unmatched(reference: Prepared, nodes: Nodes) -> np.ndarray:
+    """Return the nodes (node row, node column) with texture, without a result, and inside of the deformed image."""
+    window = reference.window
+    rows, columns = (locate_nodes(n, window.cell) for n in nodes.valid.shape)
+    x, y = columns + nodes.displacement[0], rows[:, None] + nodes.displacement[1]
+    margin = window.width / 2
+    height, width = reference.values.shape
+    inside = (x > margin) & (x < width - margin) & (y > margin) & (y < height - margin)
+    return keep_wide(reference, reference.textured & ~nodes.valid & inside)
+
+
+def keep_wide(reference: Prepared, nodes: np.ndarray) -> np.ndarray:
+    """Return what of some nodes is at least as wide as a window; rims beside borders are narrower."""
+    side = max(reference.window.width // reference.window.cell, 1)
+    opened = cv2.morphologyEx(nodes.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    return np.asarray(opened.astype(bool))
+
+
+def measure_other_motions(
+    reference: Prepared, deformed: np.ndarray, photometry: Photometry, nodes: Nodes
+) -> Iterator[Nodes]:
+    """Yield motion after motion, each measured in what those before left of both images."""
+    left = deformed
+    for _ in range(MOST_MOTIONS - 1):
+        measured = reference.spread(nodes.valid)
+        left = np.where(_find_taken(reference, nodes, measured), f4(np.nan), left)
+        reference = reference.without(measured)
+        if not find_unmatched(reference, nodes).any() or not np.isfinite(left).any():
+            return
+        try:
+            nodes = reference.measure(left, photometry)
+        except CorrelationError as error:
+            if error.code is not ErrorCode.NO_CORRELATION:
+                raise
+            return
+        if not keep_wide(reference, nodes.valid).any():
+            return
+        yield nodes
+
+
+def _find_taken(reference: Prepared, nodes: Nodes, measured: np.ndarray) -> np.ndarray:
+    """Return the pixels of the deformed image where the measured ones of the reference are now."""
+    moved = reference.at_pixels(nodes.displacement)
+    row, column = np.nonzero(measured)
+    x = np.rint(column + moved[0, row, column]).astype(int)
+    y = np.rint(row + moved[1, row, column]).astype(int)
+    inside = (x >= 0) & (x < measured.shape[1]) & (y >= 0) & (y < measured.shape[0])
+    taken = np.zeros(measured.shape, np.uint8)
+    taken[y[inside], x[inside]] = 1
+    return np.asarray(cv2.morphologyEx(taken, cv2.MORPH_CLOSE, _CLOSED).astype(bool))
+
+
+def separate(
+    reference: Prepared, deformed: np.ndarray, photometry: Photometry, motions: list[Nodes]
+) -> list[tuple[Nodes, np.ndarray]]:
+    """Measure each motion again without the pixels of the others.
+
+    Returns
+    -------
+    list of (Nodes, ndarray)
+        The motions, each with the pixels (row, column) bool at which no other one explains the images as well.
+    """
+    residuals = _compare(reference, deformed, motions)
+    owner = np.where(np.isfinite(residuals).any(axis=0), np.argmin(residuals, axis=0), -1)
+    taken = [_find_taken(reference, nodes, owner == i) for i, nodes in enumerate(motions)]
+    apart = []
+    for i, nodes in enumerate(motions):
+        others = np.any([each for j, each in enumerate(taken) if j != i], axis=0) & ~taken[i]
+        own = reference.without((owner >= 0) & (owner != i))
+        try:
+            nodes = own.measure(np.where(others, f4(np.nan), deformed), photometry, nodes.displacement)
+        except CorrelationError as error:
+            if error.code is not ErrorCode.NO_CORRELATION:
+                raise
+        apart.append(nodes)
+    residuals = _compare(reference, deformed, apart)
+    fields = [reference.at_pixels(each.displacement) for each in apart]
+    return [(nodes, _prevails(i, fields, residuals)) for i, nodes in enumerate(apart)]
+
+
+def _prevails(i: int, fields: list[np.ndarray], residuals: np.ndarray) -> np.ndarray:
+    """Return the pixels at which motion i explains the images clearly better than all others."""
+    held = np.isfinite(residuals[i])
+    for j, field in enumerate(fields):
+        if j != i:
+            different = np.hypot(*(fields[i] - field)) > _DIFFERENT
+            held &= ~different | (residuals[i] < _CLEARLY * residuals[j])
+    return held
+
+
+def _compare(reference: Prepared, deformed: np.ndarray, motions: list[Nodes]) -> np.ndarray:
+    """Return the local squared residuals (motion, row, column), infinite further than a window from a motion."""
+    first, second = remove_shading(reference.values), remove_shading(deformed)
+    residuals = []
+    for nodes in motions:
+        residual = _average_residual(first, second, reference.at_pixels(nodes.displacement))
+        residuals.append(np.where(_widen(reference, nodes.valid), residual, np.inf))
+    return np.array(residuals)
+
+
+def _average_residual(first: np.ndarray, second: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Return the local mean of the squared difference of both images after a displacement (2, row, column)."""
+    rows, columns = np.indices(first.shape, f4)
+    moved = cv2.remap(second, columns + displacement[0], rows + displacement[1], cv2.INTER_LANCZOS4)
+    return np.asarray(cv2.blur((moved - first) ** 2, (_AROUND, _AROUND)))
+
+
+def _widen(reference: Prepared, valid: np.ndarray) -> np.ndarray:
+    """Return the pixels up to a window away from valid nodes."""
+    reach = 2 * reference.window.width // reference.window.cell + 1
+    wide = cv2.dilate(valid.astype(np.uint8), np.ones((reach, reach), np.uint8))
+    return reference.spread(wide.astype(bool))
