@@ -29,10 +29,9 @@ _CLOSED = np.ones((3, 3), np.uint8)  # gaps of a pixel between places of pixels 
 
 def find_unmatched(reference: Prepared, nodes: Nodes) -> np.ndarray:
     """Return the nodes (node row, node column) with texture, without a result, and inside of the deformed image."""
-    window = reference.window
-    rows, columns = (locate_nodes(n, window.cell) for n in nodes.valid.shape)
+    rows, columns = (locate_nodes(n, reference.cell) for n in nodes.valid.shape)
     x, y = columns + nodes.displacement[0], rows[:, None] + nodes.displacement[1]
-    margin = window.width / 2
+    margin = reference.width / 2
     height, width = reference.values.shape
     inside = (x > margin) & (x < width - margin) & (y > margin) & (y < height - margin)
     return keep_wide(reference, reference.textured & ~nodes.valid & inside)

@@ -20,8 +20,11 @@ from fringedic.correlation.other_motions import find_unmatched, keep_wide, measu
 from fringedic.correlation.periodic_start import start_of_lattice
 from fringedic.correlation.prepared import Prepared
 from fringedic.correlation.pyramid import build_pyramid, sample_initial
+from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
+
+_MOST = 0.75  # of the points; where fewer are measured of a faint texture, pixels are averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +66,30 @@ def measure_points(
     CorrelationError
         The images do not show the same surface.
     """
+    binned = None
+    try:
+        points = _measure_motions(reference, deformed, photometry, start, spacing)
+        if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(np.isfinite(reference.values[::spacing, ::spacing])):
+            binned = reference.binned()
+    except CorrelationError as error:
+        binned = reference.binned() if error.code is ErrorCode.NO_CORRELATION else None
+        if binned is None:
+            raise
+    if binned is None:
+        return points
+    points = _measure_motions(binned, deformed, photometry, start, spacing)
+    return replace(points, attributes=points.attributes | {"binning_px": binned.binning, "window_px": binned.width})
+
+
+def _measure_motions(
+    reference: Prepared, deformed: np.ndarray, photometry: Photometry, start: np.ndarray | None, spacing: int
+) -> Points:
+    """Measure all motions of the image with the binning of the reference."""
     prediction = None
     if start is not None and np.isfinite(start).any():
-        prediction = sample_initial(start, deformed.shape, reference.window.cell, spacing)
+        rows, columns = reference.levels[0].shape
+        shape = (rows * reference.binning, columns * reference.binning)
+        prediction = sample_initial(start, shape, reference.cell, spacing)
     attributes: dict[str, Any] = {}
     if reference.lattice is None:
         nodes = reference.measure(deformed, photometry, prediction)
@@ -112,7 +136,7 @@ def _measure_periodic(
 
 def _evaluate(nodes: Nodes, reference: Prepared, spacing: int) -> Points:
     """Return the result at every `spacing`-th pixel from that at the nodes."""
-    cell, values = reference.window.cell, reference.values
+    cell, values = reference.cell, reference.values
     rows, columns = ((np.arange(0, n, spacing) - 0.5 * (cell - 1)) / cell for n in values.shape)
     near_rows, near_columns = (
         np.clip(np.rint(each).astype(np.intp), 0, n - 1)

@@ -5,16 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Self
 
+import cv2
 import numpy as np
 
 from fringedic.correlation.agreement import Nodes, assess, find_textured_cells
 from fringedic.correlation.dense import estimate_nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, find_lattice, keep_resolved
-from fringedic.correlation.pyramid import Level, build_pyramid, locate_nodes, prepare_level, resample
+from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, build_pyramid, prepare_level, resample
 from fringedic.correlation.window import Window, design_window
 
 f4 = np.float32
+
+
+# Ratio of the gradient energy of a texture to that of the noise alone, at which few windows have enough of it, and at
+# which nearly all have. test_coarse_and_faint_texture
+FAINT = 3.0
+CLEAR = 30.0
+# Second derivative along rows and columns: a texture of several pixels hardly changes it. Its noise gain is 6.
+_NOISE_ALONE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], f4) / 6
+_AROUND = 33  # [px], width of the local mean of the energy
+
+
+def texture_over_noise(level: Level) -> float:
+    """Return the ratio of the gradient energy of a level to that of its noise alone, in the median window.
+
+    The noise is that of a mixed second derivative (Immerkaer 1996, Computer Vision and Image Understanding 64, 300).
+    """
+    fine = cv2.filter2D(level.values, -1, _NOISE_ALONE)
+    known = np.isfinite(fine)
+    noise = 1.4826 * float(np.median(np.abs(fine[known]))) if known.any() else 0.0
+    energy = (level.along_x**2 + level.along_y**2) / 2
+    return float(np.median(cv2.blur(energy, (_AROUND, _AROUND))[known])) / max(DERIVATIVE_NOISE * noise**2, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +57,8 @@ class Prepared:
         They with their gradients.
     textured : (node row, node column) bool
         Where a match is expected.
+    binning
+        Side [px] of the blocks whose mean is a pixel of the finest level.
     """
 
     values: np.ndarray
@@ -43,6 +67,17 @@ class Prepared:
     images: list[np.ndarray]
     levels: list[Level]
     textured: np.ndarray
+    binning: int = 1
+
+    @property
+    def cell(self) -> int:
+        """Distance of the nodes [px of the image]."""
+        return self.window.cell * self.binning
+
+    @property
+    def width(self) -> int:
+        """Width of the window [px of the image]."""
+        return self.window.width * self.binning
 
     @classmethod
     def of(cls, values: np.ndarray, width: int) -> Self:
@@ -56,10 +91,30 @@ class Prepared:
     def without(self, pixels: np.ndarray) -> Self:
         """Return the reference without some pixels, (row, column) bool."""
         values = np.where(pixels, f4(np.nan), self.values)
-        images = build_pyramid(values)[: len(self.images)]
+        images = self._own_levels(build_pyramid(values))
         levels = [prepare_level(level) for level in images]
         textured = find_textured_cells(levels[0], self.window.cell) & self.textured
         return replace(self, values=values, images=images, levels=levels, textured=textured)
+
+    def binned(self) -> Self | None:
+        """Return the reference with blocks of pixels averaged so that a faint texture stands out from the noise.
+
+        None where the texture is not faint, or where no binning makes it stand out or leaves enough pixels.
+        """
+        if self.lattice is not None or texture_over_noise(self.levels[0]) > FAINT:
+            return None
+        for k, level in enumerate(self.levels):
+            if min(level.shape) < 2 * self.window.width:
+                return None
+            if k and texture_over_noise(level) > CLEAR:
+                textured = find_textured_cells(level, self.window.cell)
+                images, levels = self.images[k:], self.levels[k:]
+                return replace(self, images=images, levels=levels, textured=textured, binning=self.binning * 2**k)
+        return None
+
+    def _own_levels(self, pyramid: list[np.ndarray]) -> list[np.ndarray]:
+        first = self.binning.bit_length() - 1
+        return pyramid[first : first + len(self.images)]
 
     def measure(self, deformed: np.ndarray, photometry: Photometry, prediction: np.ndarray | None = None) -> Nodes:
         """Measure a motion at the nodes of the finest level.
@@ -71,25 +126,33 @@ class Prepared:
         photometry
             Their brightness and saturation.
         prediction
-            (2, node row, node column) [px]; without it the search is global.
+            (2, node row, node column) [px of the image]; without it the search is global.
+
+        Returns
+        -------
+        Nodes
+            [px of the image]
 
         Raises
         ------
         CorrelationError
             Hardly any point agrees.
         """
-        pyramid = build_pyramid(deformed)[: len(self.images)]
+        pyramid = self._own_levels(build_pyramid(deformed))
+        if prediction is not None:
+            prediction = prediction / f4(self.binning)
         estimated = estimate_nodes(self.levels, self.images, pyramid, self.window.width, prediction, photometry)
-        return assess(estimated, self.window, int(np.count_nonzero(self.textured)))
+        nodes = assess(estimated, self.window, int(np.count_nonzero(self.textured)))
+        return Nodes(f4(self.binning) * nodes.displacement, f4(self.binning) * nodes.sigma, nodes.valid)
 
     def at_pixels(self, nodes: np.ndarray) -> np.ndarray:
         """Interpolate values of nodes (channel, node row, node column) at all pixels."""
-        first, cell = locate_nodes(1, self.window.cell)[0], self.window.cell
-        rows, columns = ((np.arange(n) - first) / cell for n in self.values.shape)
+        rows, columns = ((np.arange(n) - 0.5 * (self.cell - 1)) / self.cell for n in self.values.shape)
         return resample(nodes, rows, columns)
 
     def spread(self, nodes: np.ndarray) -> np.ndarray:
-        """Return values of nodes (node row, node column) at all pixels of their cells."""
-        cell = self.window.cell
-        pixels = np.repeat(np.repeat(nodes, cell, axis=0), cell, axis=1)
-        return np.asarray(pixels[: self.values.shape[0], : self.values.shape[1]])
+        """Return values of nodes (node row, node column) at all pixels of their cells; False beyond the last ones."""
+        pixels = np.repeat(np.repeat(nodes, self.cell, axis=0), self.cell, axis=1)
+        rows, columns = self.values.shape
+        beyond = ((0, max(rows - pixels.shape[0], 0)), (0, max(columns - pixels.shape[1], 0)))
+        return np.asarray(np.pad(pixels, beyond)[:rows, :columns])
