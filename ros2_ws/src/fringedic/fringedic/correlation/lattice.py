@@ -25,7 +25,8 @@ f4 = np.float32
 # 25 px in an image of 512 px reaches .3. test_random_texture_is_not_periodic
 PERIODIC = 0.6
 WIDEST = 512  # [px] of the part, or of the level, in which repetitions are sought
-_SHADING = 65  # [px], width of the local mean, which does not count as texture
+_SHADING = 65  # [px], width of the local mean and contrast, which do not count as texture
+_LEAST_CONTRAST = 0.1  # of the largest one; with less an image is noise
 SMALLEST_PERIOD = 3.0  # [px], with less the samples of a period do not tell where it is
 SAMPLES = 4.0  # [px of a level] per period, below which the halves of an image show a moire instead of the texture
 _SMALLEST_ANGLE = np.sin(np.deg2rad(20))  # between both vectors
@@ -113,7 +114,10 @@ def _autocorrelate(image: np.ndarray) -> np.ndarray:
     """Return the autocorrelation for shifts (y, x) of up to a quarter of the image, with 0 in the middle."""
     known = np.isfinite(image)
     flat = np.where(known, image, f4(0))
-    flat = np.where(known, flat - cv2.blur(flat, (_SHADING, _SHADING)), f4(0))
+    around = (_SHADING, _SHADING)
+    flat = np.where(known, flat - cv2.blur(flat, around), f4(0))
+    contrast = np.sqrt(cv2.blur(flat * flat, around))
+    flat /= np.maximum(contrast, f4(_LEAST_CONTRAST) * contrast.max() + f4(1e-12))
     taper = _taper(image.shape)
     overlap = _taper_overlap(image.shape) if known.all() else _correlate(taper * known)
     surface = _correlate(taper * flat) / np.maximum(overlap, f4(1e-3) * overlap.max())
@@ -254,7 +258,7 @@ def _split(image: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]
             image,
             np.array([[1, 0, sign * x], [0, 1, sign * y]]),
             shape,
-            flags=cv2.INTER_CUBIC,
+            flags=cv2.INTER_LANCZOS4,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=float("nan"),
         )
