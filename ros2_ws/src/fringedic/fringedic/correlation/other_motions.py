@@ -8,6 +8,7 @@ with which the pixels around it agree, or to none.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -24,6 +25,8 @@ MOST_MOTIONS = 5  # of an image; each further one costs a measurement of its own
 _AROUND = 7  # [px], width of the square in which the residuals of two motions are compared
 _CLEARLY = 0.5  # of the other motion's squared residual, which that of a point's motion may have at most
 _DIFFERENT = 1.0  # [px] between motions beyond which they exclude each other
+_FRONT = 0.5  # of a window, width from which on unmatched texture is something in front and not a weak spot
+_RIM = np.ones((3, 3), np.uint8)
 _CLOSED = np.ones((3, 3), np.uint8)  # gaps of a pixel between places of pixels that a stretch moved apart
 
 
@@ -34,14 +37,20 @@ def find_unmatched(reference: Prepared, nodes: Nodes) -> np.ndarray:
     margin = reference.width / 2
     height, width = reference.values.shape
     inside = (x > margin) & (x < width - margin) & (y > margin) & (y < height - margin)
-    return keep_wide(reference, reference.textured & ~nodes.valid & inside)
+    return np.asarray(reference.textured & ~nodes.valid & inside)
 
 
-def keep_wide(reference: Prepared, nodes: np.ndarray) -> np.ndarray:
-    """Return what of some nodes is at least as wide as a window; rims beside borders are narrower."""
-    side = max(reference.window.width // reference.window.cell, 1)
+def keep_wide(reference: Prepared, nodes: np.ndarray, part: float = 1.0) -> np.ndarray:
+    """Return what of some nodes is at least as wide as a part of the window; rims beside borders are narrower."""
+    side = max(int(part * reference.window.width / reference.window.cell), 1)
     opened = cv2.morphologyEx(nodes.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     return np.asarray(opened.astype(bool))
+
+
+def leave_out_rims(reference: Prepared, nodes: Nodes, unmatched: np.ndarray) -> Nodes:
+    """Return the nodes without those next to unmatched ones: their cells reach over the border to what is in front."""
+    front = keep_wide(reference, unmatched, _FRONT)
+    return replace(nodes, valid=nodes.valid & ~cv2.dilate(front.astype(np.uint8), _RIM).astype(bool))
 
 
 def measure_other_motions(
@@ -53,7 +62,7 @@ def measure_other_motions(
         measured = reference.spread(nodes.valid)
         left = np.where(_find_taken(reference, nodes, measured), f4(np.nan), left)
         reference = reference.without(measured)
-        if not find_unmatched(reference, nodes).any() or not np.isfinite(left).any():
+        if not keep_wide(reference, find_unmatched(reference, nodes)).any() or not np.isfinite(left).any():
             return
         try:
             nodes = reference.measure(left, photometry)

@@ -16,7 +16,7 @@ from fringedic.correlation.affine import fit_motion
 from fringedic.correlation.agreement import Nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, choose_displacement
-from fringedic.correlation.other_motions import find_unmatched, keep_wide, measure_other_motions, separate
+from fringedic.correlation.other_motions import find_unmatched, keep_wide, leave_out_rims, measure_other_motions, separate
 from fringedic.correlation.periodic_start import start_of_lattice
 from fringedic.correlation.prepared import Prepared
 from fringedic.correlation.pyramid import build_pyramid, sample_initial
@@ -97,14 +97,18 @@ def _measure_motions(
         nodes, unique = _measure_periodic(reference, reference.lattice, deformed, photometry, prediction)
         if not unique:
             attributes["repeats_px"] = [float(each) for each in reference.lattice.vectors.ravel()]
-    points, unmatched = _evaluate(nodes, reference, spacing), find_unmatched(reference, nodes)
-    if not unmatched.any():
-        return replace(points, attributes=attributes)
+    unmatched = find_unmatched(reference, nodes)
+    if not keep_wide(reference, unmatched).any():
+        nodes = leave_out_rims(reference, nodes, unmatched)
+        return replace(_evaluate(nodes, reference, spacing), attributes=attributes)
     motions = [nodes, *measure_other_motions(reference, deformed, photometry, nodes)]
     if len(motions) > 1:
         apart = separate(reference, deformed, photometry, motions)
         points = _join(reference, apart, spacing)
-        unmatched = keep_wide(reference, unmatched & ~np.any([each.valid for each, _ in apart], axis=0))
+        unmatched &= ~np.any([each.valid for each, _ in apart], axis=0)
+    else:
+        points = _evaluate(leave_out_rims(reference, nodes, unmatched), reference, spacing)
+    unmatched = keep_wide(reference, unmatched)
     part = float(np.count_nonzero(unmatched) / np.count_nonzero(reference.textured))
     return replace(points, attributes=attributes | {"motions": len(motions), "unmatched_fraction": part})
 
