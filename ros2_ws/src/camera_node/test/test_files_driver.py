@@ -38,7 +38,7 @@ def test_bad_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"this is no picture")
     (tmp_path / "b.png").write_bytes(b"")
     (tmp_path / "c.png").mkdir()
-    cv2.imwrite(str(tmp_path / "d.tif"), np.zeros((4, 4), np.float32))
+    cv2.imwrite(str(tmp_path / "d.tif"), np.full((4, 4), 0.5, np.float32))
     cv2.imwrite(str(tmp_path / "e.png"), np.full((4, 4), 9, np.uint8))
     driver = FilesDriver(FilesCamera(files=str(tmp_path)))
     for name, words in (

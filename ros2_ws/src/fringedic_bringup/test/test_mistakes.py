@@ -61,10 +61,10 @@ MISTAKES = [
     Mistake("measure a.tif notes.txt", UNUSABLE, "notes.txt is not an image"),
     Mistake("measure notes.txt a.tif", UNUSABLE, "notes.txt is not an image"),
     Mistake("measure a.tif other.tif", UNUSABLE, "does not correlate with the reference"),
-    Mistake("measure a.tif small.tif", UNUSABLE, "small.tif: "),
+    Mistake("measure a.tif small.tif", UNUSABLE, "small.tif has 60x50 px, a.tif has 120x100 px"),
     Mistake("measure a.tif stack.tif", UNUSABLE, "has 2 pages"),
     Mistake("measure flat.tif a.tif", UNUSABLE, "constant"),
-    Mistake("measure float.tif a.tif", UNUSABLE, "8 or 16 bits"),
+    Mistake("measure float.tif a.tif", UNUSABLE, "float.tif has float32 values from 0"),
     Mistake("measure a.tif b.tif --window 200", UNUSABLE, "window"),
     Mistake("measure a.tif b.tif --spacing 200", UNUSABLE, "spacing"),
     Mistake("measure a.tif b.tif --strain-window 5 --spacing 8", UNUSABLE, "window"),
@@ -195,7 +195,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "other.tif": other[:100, :120],
         "small.tif": surface[:50, :60],
         "flat.tif": np.full((100, 120), 7, np.uint8),
-        "float.tif": surface[:100, :120].astype(np.float32),
+        "float.tif": surface[:100, :120] / np.float32(255),
         "black.png": np.zeros((100, 120), np.uint8),
     }
     for name, image in images.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fringedic import Advice, advise_settings
-from fringedic.frames.files import read_grey
+from fringedic.frames.files import read_alike
 
 
 def advise_on_images(
@@ -21,11 +21,11 @@ def advise_on_images(
     Raises
     ------
     ImageError
-        An image cannot be read.
+        An image cannot be read, or has another size or pixel type than the first one.
     FringedicError
         The requested noise or resolution is not a positive number, or the images do not show the same surface.
     """
-    reference, first, second = (read_grey(path) for path in images)
+    reference, first, second = read_alike(images)
     return advise_settings(
         reference,
         first,

@@ -20,7 +20,7 @@ from fringedic.command.app import (
     say,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic.errors import ConfigurationError, ImageError, StepFailedError
 
 if TYPE_CHECKING:
     from fringedic.images import MeasuredImage
@@ -91,14 +91,18 @@ def measure(  # noqa: PLR0913 (options of a command)
     from fringedic.frames.files import image_files, read_grey
     from fringedic.frames.region import mask_of
     from fringedic.images import measure_images
-    from fringedic.images.sentences import failure_sentences, series_sentences
+    from fringedic.images.sentences import failure_sentences, order_sentences, series_sentences
     from fringedic.report import write_report
 
     if bag is not None:
         images = _recorded_images(images, bag, output)
     files = image_files(images)
-    for each in regions.values():
-        each.mask_for(read_grey(files[0]).shape)  # refused before the measurement
+    say(*order_sentences(files))
+    for name, each in regions.items():
+        try:
+            each.mask_for(read_grey(files[0]).shape)  # refused before the measurement
+        except ImageError as error:
+            raise ImageError(f"--region {name}: {error}") from error
     pixel_size = None if pixel_size_mm is None else 1e-3 * pixel_size_mm
     if scale_length_mm is not None:
         pixel_size = draw_scale(read_grey(files[0]), 1e-3 * scale_length_mm)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fringedic.errors import FringedicError, RigSetupError
 from fringedic.figures.noise_floor import noise_figure
-from fringedic.frames.files import read_grey
+from fringedic.frames.files import read_alike
 from fringedic.rig_setup.noise_floor import NoiseMeasurement, noise_of_images
 
 
@@ -26,12 +26,13 @@ def measure_noise_of_images(images: Sequence[Path], folder: Path, *, window: int
     Raises
     ------
     ImageError
-        An image cannot be read.
+        An image cannot be read, or has another size or pixel type than the first one.
     RigSetupError
         There are fewer than three images.
     """
+    levels = read_alike(images)
     try:
-        measured = noise_of_images([read_grey(path) for path in images], window=window, spacing=spacing)
+        measured = noise_of_images(levels, window=window, spacing=spacing)
     except RigSetupError:
         raise
     except FringedicError as error:

@@ -62,6 +62,9 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
         if "time" in dataset:
             titles.append("time [s]")
             series.append(seconds(dataset).tolist())
+        if "image" in dataset:
+            titles.append("image")
+            series.append(dataset["image"].values.tolist())
         for name in scalars:
             unit = _SCALAR_UNITS.get(name) or people_unit(dataset[name])
             titles.append(f"{name} [{unit.text}]")
@@ -103,6 +106,8 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
     units = {name: dataset[name].attrs.get("units", "1") for name in (*names, *series)}
     if "time" in dataset:
         content["time"], units["time"] = seconds(dataset), "s"
+    if "image" in dataset:
+        content["image"] = dataset["image"].values.astype(object)  # a cell array
     content["units"] = units
     content["metadata"] = origin_text(dataset)
     with open(file, "wb") as stream:
@@ -133,6 +138,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
                 "unit": unit.text,
                 "meaning": step[name].attrs.get("long_name", ""),
                 "step": int(number),
+                **({"image": str(step["image"].values)} if "image" in step else {}),
                 **step_numbers(step),
                 "first_row_px": int(dataset["row"][0]),
                 "first_column_px": int(dataset["column"][0]),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -14,12 +13,12 @@ import numpy as np
 
 from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
+from fringedic.frames.name_order import order_by_name
 from fringedic.wording.causes import cause_of
 
-_WHOLE = re.compile(r"(\d+)")
-_DECIMAL = re.compile(r"((?:(?<![a-z0-9])-)?\d+(?:[.,]\d+)?)")
-_BEHIND_POINT = re.compile(r"\d[.,](\d+)")
 _PNG, _PNG_END = b"\x89PNG", b"IEND"
+_WHITE_IS_0, _BLACK_IS_0, _RGB, _INTERLEAVED, _ALPHA = 0, 1, 2, 1, (1, 2)  # values of tags of TIFF 6.0
+_OPAQUE, _LARGEST = 255, 65535  # of 8 bits; grey level of 16 bits
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it prints what is wrong with a file
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
@@ -35,13 +34,14 @@ def read_grey(path: Path) -> np.ndarray:
     Returns
     -------
     ndarray
-        uint8 or uint16, shape (row, column).
+        uint8 or uint16, shape (row, column). Pixels of other types whose values are all whole numbers from 0 to 65535
+        are uint16.
 
     Raises
     ------
     ImageError
-        The file is missing, is no image, is larger than 268 million pixels, has several pages, or another pixel type;
-        or it is a TIFF file whose pixels would be turned, mirrored or scaled when they are read.
+        The file is missing, is no image, is larger than 268 million pixels, has several pages, or values that 16 bits
+        cannot hold; or it is a TIFF file whose pixels would be turned, mirrored or scaled when they are read.
 
     Examples
     --------
@@ -59,8 +59,7 @@ def read_grey(path: Path) -> np.ndarray:
         raise ImageError(f"{path} cannot be read: {cause_of(error)}") from error
     if content.startswith(_PNG) and _PNG_END not in content[-16:]:  # libpng prints a line of its own about it
         raise ImageError(f"{path} is cut off; copy it again")
-    if content[:2] in (b"II", b"MM"):
-        _refuse_changed_tiff(path, content)
+    is_transparent = content[:2] in (b"II", b"MM") and _check_tiff(path, content)
     try:
         with _quiet_opencv():
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
@@ -68,12 +67,49 @@ def read_grey(path: Path) -> np.ndarray:
     except cv2.error as error:
         raise ImageError(f"{path} is no image, or larger than 268 million pixels: {error.err}") from error
     if image is None:
-        raise ImageError(f"{path} is not an image that can be read")
+        raise ImageError(
+            f"{path} is not an image that can be read: copy it again, or save it as PNG or TIFF with 8 or 16 bits"
+        )
     if pages > 1:
         raise ImageError(f"{path} has {pages} pages, which may be several images: write each to a file of its own")
+    if is_transparent and image.ndim == 3 and (image[:, :, -1] < _OPAQUE).any():
+        raise ImageError(f"{path} has transparent pixels; save it without transparency")
     if image.dtype not in (np.uint8, np.uint16):
-        raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
+        image = _whole_levels(path, image)
     return image if image.ndim == 2 else luminance(image)
+
+
+def read_alike(paths: Sequence[Path]) -> list[np.ndarray]:
+    """Return the grey levels of image files of one size and pixel type, each as `read_grey`.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read, or has another size or pixel type than the first one.
+    """
+    images = [read_grey(path) for path in paths]
+    for path, image in zip(paths, images, strict=True):
+        require_size(path, image, paths[0], images[0].shape)
+        if image.dtype != images[0].dtype:
+            raise ImageError(
+                f"{path} has pixels of type {image.dtype}, {paths[0]} of {images[0].dtype}: save all images alike"
+            )
+    return images
+
+
+def require_size(path: Path, image: np.ndarray, reference: Path, shape: tuple[int, ...]) -> None:
+    """Check that an image has the shape (row, column) of a reference image; both files are for the error.
+
+    Raises
+    ------
+    ImageError
+        It has another size.
+    """
+    if image.shape != shape:
+        raise ImageError(
+            f"{path} has {image.shape[1]}x{image.shape[0]} px, {reference} has {shape[1]}x{shape[0]} px: give images "
+            "of one size"
+        )
 
 
 def write_grey(path: Path, image: np.ndarray) -> None:
@@ -92,22 +128,42 @@ def write_grey(path: Path, image: np.ndarray) -> None:
         raise ImageError(f"{path}: cannot be written; check the folder and the space on the disk")
 
 
-def _refuse_changed_tiff(path: Path, content: bytes) -> None:
-    """Refuse a TIFF file whose pixels OpenCV changes: it turns them by their tag and scales packed bits to 16."""
+def _whole_levels(path: Path, image: np.ndarray) -> np.ndarray:
+    """Return values of another type as uint16, which changes none of them, or refuse them."""
+    if ((image >= 0) & (image <= _LARGEST) & (image == np.floor(image))).all():  # NaN is none of these
+        return image.astype(np.uint16)
+    finite = image[np.isfinite(image)]
+    span = f" from {finite.min():g} to {finite.max():g}" if finite.size else ""
+    unknown = " and NaN or infinite ones" if finite.size < image.size else ""
+    raise ImageError(
+        f"{path} has {image.dtype} values{span}{unknown}: convert all images of a series by one scale and offset to "
+        f"whole numbers from 0 to {_LARGEST} and save them with 16 bits without a sign"
+    )
+
+
+def _check_tiff(path: Path, content: bytes) -> bool:
+    """Refuse a TIFF file whose pixels OpenCV changes; return whether it changes transparent pixels, of 8 bits."""
     from tifffile import TiffFile  # not at the top: cameras and most images do without it
 
     try:
         with TiffFile(BytesIO(content)) as file:
             page = file.pages.first
-            turned, bits, white_is_0 = page.tags.valueof(274, 1) != 1, page.bitspersample, page.photometric == 0
+            is_turned, bits, samples = page.tags.valueof(274, 1) != 1, page.bitspersample, page.samplesperpixel
+            photometric, planar, extra = page.photometric, page.planarconfig, page.extrasamples
     except Exception:  # of many classes for damaged files, which OpenCV judges
-        return
-    if turned:
+        return False
+    if is_turned:
         raise ImageError(f"{path} has a tag that turns or mirrors its pixels; save it as it is shown, without the tag")
     if bits % 8 and bits != 1:
         raise ImageError(f"{path} packs {bits} bits per pixel; save it with 16 bits")
-    if white_is_0 and bits > 8:  # fewer bits are inverted as they should be
-        raise ImageError(f"{path} stores white as 0; save it with black as 0")
+    if bits > 8:  # fewer bits are converted as they should be
+        if photometric == _WHITE_IS_0:
+            raise ImageError(f"{path} stores white as 0; save it with black as 0")
+        if photometric not in (_BLACK_IS_0, _RGB):
+            raise ImageError(f"{path} has {bits}-bit colours that are not RGB; save it as grey levels")
+        if samples > 1 and (planar != _INTERLEAVED or samples not in (3, 4)):
+            raise ImageError(f"{path} has {samples} channels of {bits} bits; save it as grey levels")
+    return bits == 8 and any(each in _ALPHA for each in extra)
 
 
 @contextmanager
@@ -122,12 +178,13 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def image_files(places: Iterable[Path]) -> list[Path]:
-    """Return image files as given, and those of folders in the order in which people number them: 2 before 10.
+    """Return image files as given, and those of folders and patterns in the order of `order_by_name`: 2 before 10.
 
     Parameters
     ----------
     places
-        Files, folders, or patterns such as ``load_*.tif``.
+        Files, folders, or patterns such as ``load_*.tif``. Hidden files in folders, such as ``._load_1.tif``, are left
+        out.
 
     Raises
     ------
@@ -152,30 +209,10 @@ def image_files(places: Iterable[Path]) -> list[Path]:
         if not place.is_dir() and not is_pattern:
             raise ImageError(f"{place}: no such image or folder of images")
         among = place.parent.glob(place.name) if is_pattern else place.iterdir()
-        images = _in_order(
+        images = order_by_name(
             file for file in among if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
         )
         if not images:
             raise ImageError(f"{place}: contains no images; known are {', '.join(IMAGE_SUFFIXES)}")
         found += images
     return found
-
-
-def _in_order(files: Iterable[Path]) -> list[Path]:
-    """Return files in the order of the numbers in their names: -1, 0, 0.25, 0.5, 2, 10.
-
-    A point or comma is that of a decimal number, unless the numbers behind it count on, as 1.9 and 1.10 do. A hyphen
-    between numbers, as in dates, is no sign.
-    """
-    images = list(files)
-    behind = [part for image in images for part in _BEHIND_POINT.findall(image.stem)]
-    counted = sorted(map(int, behind))
-    counts_on = len(set(map(len, behind))) > 1 and counted == list(range(counted[0], counted[0] + len(counted)))
-    number = _WHOLE if counts_on and not any(part.startswith("0") for part in behind) else _DECIMAL
-
-    def by_number(image: Path) -> list[tuple[bool, float, str]]:
-        parts = number.split(image.stem.lower())  # texts and numbers in turns
-        key = [(i % 2 == 1, float(part.replace(",", ".")) if i % 2 else 0.0, part) for i, part in enumerate(parts)]
-        return [*key, (False, 0.0, image.suffix.lower())]
-
-    return sorted(images, key=by_number)

@@ -315,7 +315,11 @@ def mask_of(path: Path, shape: tuple[int, ...]) -> np.ndarray:
         The file cannot be read, the mask belongs to images of another size, or it is empty.
     """
     if path.suffix in POLYGON_SUFFIXES:
-        return Region.load(path).mask_for(shape)
+        region = Region.load(path)
+        try:
+            return region.mask_for(shape)
+        except ImageError as error:
+            raise ImageError(f"{path}: {error}") from error
     image = read_grey(path)
     if image.shape != tuple(shape):
         raise ImageError(

@@ -19,7 +19,7 @@ from fringedic.datasets.rows import Row, displacement_maps
 from fringedic.datasets.stores import dataset_path
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError, FringedicError, ImageError, reason_of
-from fringedic.frames.files import image_files, read_grey
+from fringedic.frames.files import image_files, read_grey, require_size
 from fringedic.metadata import Metadata
 from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.displacement_tracker import DisplacementTracker
@@ -210,7 +210,7 @@ class _Measuring:
         self._tracker = DisplacementTracker(self._parameters)
         self._checks = ClosureChecks()
         self._scale, self._mask = pixel_size, None if mask is None else mask.astype(bool)
-        self._names: dict[int, str] = {}
+        self._files: dict[int, Path] = {}
         self._reference: np.ndarray | None = None
         self._reason: FringedicError | None = None
 
@@ -226,11 +226,11 @@ class _Measuring:
 
     def measure(self, step: int, file: Path) -> tuple[Row, MeasuredImage]:
         """Return the row of an image; the reference raises its errors, the others have them in their row."""
-        self._names[step] = file.name
+        self._files[step] = file
         row = Row(step, image=file.name)
         texture = None
         try:
-            texture = read_grey(file)
+            texture = self._read(file)
             if step == 0 and self._mask is not None:
                 texture = np.where(self._mask, texture, np.float32(np.nan))
             result = self._tracker.step(_ALL, step, step, texture)
@@ -266,4 +266,11 @@ class _Measuring:
         gauge = strain.attrs["virtual_strain_gauge_px"]
         self._strain = self._strain.model_copy(update={"virtual_strain_gauge_px": gauge})
         link = result.correlated_step
-        return row, MeasuredImage(step, file.name, increment_from=self._names[link] if link else "")
+        return row, MeasuredImage(step, file.name, increment_from=self._files[link].name if link else "")
+
+    def _read(self, file: Path) -> np.ndarray:
+        """Return the grey levels of an image of the reference's size."""
+        image = read_grey(file)
+        if self._reference is not None:
+            require_size(file, image, self._files[0], self._reference.shape)
+        return image

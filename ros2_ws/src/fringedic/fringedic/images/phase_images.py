@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from fringedic.configuration.fringe_images import FringeImageDescription, GrayCodeImages
-from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
-from fringedic.frames.files import read_grey
+from fringedic.errors import ErrorCode, PhaseError, StepError
+from fringedic.frames.files import read_alike, require_size
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.phase.beats import combine_beats
@@ -94,7 +94,7 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     """
     entries = sorted(description.fringes, key=lambda each: -each.pitch_px)
     names = [name for each in entries for name in each.images]
-    frames = _read(folder, names)
+    frames = np.array(read_alike([folder / name for name in names]))
     patterns = [each for entry in entries for each in entry.patterns(description.orientation)]
     settings = PhaseSettings(saturation=description.saturation, largest_error=description.maximum_error_fringe)
     gains = find_gains(frames, patterns, settings)
@@ -112,11 +112,12 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         maps.append(measured)
         origin = TURN * description.origin / entry.pitch_px
         waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
-    blocks = (
-        None
-        if description.gray_code is None
-        else _blocks(folder, description.gray_code, noise, frames, description.orientation)
-    )
+    blocks = None
+    if description.gray_code is not None:
+        code = [folder / name for name in description.gray_code.images]
+        bits = read_alike(code)
+        require_size(code[0], bits[0], folder / names[0], frames.shape[1:])
+        blocks = _blocks(np.array(bits, np.float32), description.gray_code, noise, frames, description.orientation)
     finest, measured = waves[-1], maps[-1]
     pitches = [wave.period for wave in waves]
     by_beats = blocks is None and nearly_alike(pitches) and unambiguous_range(pitches) >= description.projector_px
@@ -158,17 +159,6 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         "light_error": gains.finding.value if gains.finding else 0.0,
     }
     return result
-
-
-def _read(folder: Path, names: list[str]) -> np.ndarray:
-    images = [read_grey(folder / name) for name in names]
-    for name, image in zip(names, images, strict=True):
-        if (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
-            raise ImageError(
-                f"{name} has {image.shape[1]}x{image.shape[0]} px of {image.dtype}, {names[0]} has "
-                f"{images[0].shape[1]}x{images[0].shape[0]} px of {images[0].dtype}: all images of a stack are alike"
-            )
-    return np.array(images)
 
 
 def _find_fault(
@@ -228,12 +218,9 @@ def _measure_pitch(
 
 
 def _blocks(
-    folder: Path, code: GrayCodeImages, noise: CameraNoise, fringes: np.ndarray, orientation: Orientation
+    images: np.ndarray, code: GrayCodeImages, noise: CameraNoise, fringes: np.ndarray, orientation: Orientation
 ) -> np.ndarray:
     """Return the number of the block at each pixel, NaN where a bit is neither dark nor bright."""
-    images = _read(folder, code.images).astype(np.float32)
-    if images.shape[1:] != fringes.shape[1:]:
-        raise ImageError(f"the images of the Gray code and of the fringes differ in size: {code.images[0]}")
     other = images[1::2] if code.inverted else fringes.astype(np.float32).mean(axis=0)[None]
     away = (images[::2] if code.inverted else images) - other
     level = np.maximum(0.5 * (images[::2] + other if code.inverted else images + other), 0)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import people_unit
 from fringedic.datasets.sentences import confirmation_sentence
+from fringedic.frames.name_order import order_by_name
 from fringedic.images.image_series import ImageSeries
 from fringedic.wording.numbers import number_text
 
@@ -58,6 +60,31 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
     if verdict := confirmation_sentence(dataset):
         yield verdict
     yield f"time: {series.seconds:.1f} s, {series.seconds / len(series.images):.2f} s per image"
+
+
+def order_sentences(files: Sequence[Path]) -> Iterator[str]:
+    """Yield that files are in alphabetical order, as shells expand a pattern, where their numbers have another order.
+
+    Parameters
+    ----------
+    files
+        In the order of the measurement; the first one may be a reference with a name of another kind.
+
+    Examples
+    --------
+    >>> for sentence in order_sentences([Path("load_0.25.tif"), Path("load_0.tif")]):
+    ...     print(sentence.split(";")[0])
+    order: load_0.25.tif is before load_0.tif, as given
+    """
+    for given in (list(files), list(files[1:])):
+        numbered = order_by_name(given)
+        if given == sorted(given) and given != numbered:
+            one, other = next(pair for pair in zip(given, numbered, strict=True) if pair[0] != pair[1])
+            yield (
+                f"order: {one.name} is before {other.name}, as given; for the order of the numbers give the folder, or "
+                "the pattern in quotation marks"
+            )
+            return
 
 
 def failure_sentences(series: ImageSeries) -> Iterator[str]:

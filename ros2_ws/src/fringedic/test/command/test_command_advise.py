@@ -55,3 +55,9 @@ def test_impossible_requests_are_refused(files: list[str], tmp_path: Path) -> No
     missing = CliRunner().invoke(app, ["advise", *files[:2], str(tmp_path / "none.png")])
     assert isinstance(missing.exception, ImageError)
     assert "none.png" in str(missing.exception)
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((20, 30), np.uint8))
+    small = CliRunner().invoke(app, ["advise", *files[:2], str(tmp_path / "small.png")])
+    assert isinstance(small.exception, ImageError)
+    assert str(small.exception) == (
+        f"{tmp_path / 'small.png'} has 30x20 px, {files[0]} has 320x240 px: give images of one size"
+    )

@@ -247,6 +247,17 @@ def test_csv_names_the_unit_of_the_displacement_of_images(image_series, tmp_path
     assert steps["valid_fraction [1]"] == ["1.0"] * 3
 
 
+def test_tables_of_images_contain_their_names(image_series, tmp_path):
+    done = {each.format: each for each in export_dataset(image_series, tmp_path, ["csv", "mat", "tiff"], steps=[0, 2])}
+    assert steps_of(done["csv"])["image"] == ["0.tif", "2.tif"]
+    content = scipy.io.loadmat(done["mat"].path, squeeze_me=True, simplify_cells=True)
+    assert content["image"].tolist() == ["0.tif", "2.tif"]
+    for step in (0, 2):
+        file = next(done["tiff"].path.glob(f"step_{step:03d}_displacement_x*.tif"))
+        with tifffile.TiffFile(file) as opened:
+            assert json.loads(opened.pages.first.description)["image"] == f"{step}.tif"
+
+
 def test_matlab_gets_si_units_and_names_them(dataset, exported):
     content = scipy.io.loadmat(exported["mat"].path, squeeze_me=True, simplify_cells=True)
     np.testing.assert_array_equal(content["w"], dataset.w.values.transpose(1, 2, 0))

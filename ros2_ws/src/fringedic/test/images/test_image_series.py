@@ -1,6 +1,7 @@
 """Series of images without a rig: displacement, strain and scale against the exact values."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 import fringedic
 from fringedic.errors import CorrelationError, DatasetError, ErrorCode, ImageError
 from fringedic.images import measure_images
+from fringedic.images.sentences import order_sentences
 from fringedic.surface import flat_strain
 
 SIZE = (150, 200)
@@ -146,6 +148,33 @@ def test_one_bad_image_does_not_end_the_series(folder, tmp_path):
     with fringedic.open_experiment(series.dataset) as dataset:
         assert [bool(error) for error in dataset.error.values] == [False, False, True, True, False]
         assert float(dataset.e_xx.sel(step=4).median()) == pytest.approx(2 * STRAIN, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["load_0.25", "load_0.5", "load_0"], "load_0.25.tif is before load_0.tif"),
+        (["reference", "load_1", "load_10", "load_2"], "load_10.tif is before load_2.tif"),
+        (["load_0", "load_0.25", "load_0.5"], ""),
+        (["reference", "load_1", "load_2"], ""),
+        (["load_2", "load_0", "load_1"], ""),  # somebody's own order
+    ],
+)
+def test_alphabetical_order_that_differs_from_that_of_the_numbers_is_reported(names, words):
+    files = [Path("images") / f"{name}.tif" for name in names]
+    assert [sentence.split(",")[0] for sentence in order_sentences(files)] == ([f"order: {words}"] if words else [])
+
+
+def test_an_image_of_another_size_is_named_with_both_sizes(folder, tmp_path):
+    files = [folder / f"load_{name}.tif" for name in (1, 2)]
+    small = tmp_path / "small.tif"
+    cv2.imwrite(str(small), cv2.imread(str(files[1]), cv2.IMREAD_UNCHANGED)[:100, :120])
+    series = measure_images([files[0], small, files[1]], tmp_path / "a.nc")
+    assert [image.error for image in series.failed] == [
+        f"{small} has 120x100 px, {files[0]} has 200x150 px: give images of one size"
+    ]
+    with pytest.raises(ImageError, match=r"small\.tif has 120x100 px"):
+        measure_images([files[0], small], tmp_path / "b.nc")
 
 
 def test_nothing_is_left_when_no_image_shows_the_surface(folder, tmp_path):

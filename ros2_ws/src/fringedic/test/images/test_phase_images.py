@@ -148,8 +148,11 @@ def test_images_of_two_sizes_are_refused(stack: tuple[Path, Content], tmp_path: 
     folder, content = stack
     cv2.imwrite(str(folder / "small.png"), np.zeros((20, 30), np.uint8))
     fringes = [{**content["fringes"][0], "images": ["small.png", *content["fringes"][0]["images"][1:]]}]
-    with pytest.raises(ImageError, match=r"p43_1.png has 320x160 px of uint8, small.png has 30x20"):
+    with pytest.raises(ImageError, match=r"p43_1\.png has 320x160 px, .*small\.png has 30x20 px: give images of one"):
         measure_phase_images(folder, described({**content, "fringes": fringes}, tmp_path))
+    code = {**content["gray_code"], "images": ["small.png"] * len(content["gray_code"]["images"])}
+    with pytest.raises(ImageError, match=r"small\.png has 30x20 px, .*p64_0\.png has 320x160 px"):
+        measure_phase_images(folder, described({**content, "gray_code": code}, tmp_path))
 
 
 @pytest.fixture(scope="module")
