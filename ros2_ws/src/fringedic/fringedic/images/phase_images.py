@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations, pairwise
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from fringedic.configuration.fringe_images import FringeImageDescription, GrayCodeImages
-from fringedic.errors import ErrorCode, PhaseError, StepError
+from fringedic.errors import ErrorCode, FringedicError, PhaseError, StepError
 from fringedic.frames.files import read_alike, require_size
-from fringedic.frames.noise import CameraNoise
+from fringedic.frames.noise import CameraNoise, saturation_level
+from fringedic.images.wave_orders import TURN, Wave, WaveOrders, solve_orders
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
-from fringedic.phase.beats import combine_beats
 from fringedic.phase.checks.flicker_and_motion import LIGHT
 from fringedic.phase.checks.gains import Gains
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
@@ -23,30 +23,23 @@ from fringedic.phase.checks.sampling import Sample, half_periods
 from fringedic.phase.checks.stack import find_gains, inspect_stack
 from fringedic.phase.demodulation import absolute_phase
 from fringedic.phase.demodulation_kernel import add_gain_variance
-from fringedic.phase.findings import Finding
-from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
-from fringedic.phase.harmonic_correction import fit_harmonic_error
-from fringedic.phase.layout import layout_of, nearly_alike, shift_angles, unambiguous_range
+from fringedic.phase.findings import Finding, FindingKind
+from fringedic.phase.harmonic_correction import HarmonicError
+from fringedic.phase.layout import layout_of, shift_angles
 from fringedic.phase.sentences import describe
 from fringedic.phase.settings import PhaseSettings
+from fringedic.phase.sinusoids import fit_wave
 
-TURN = 2 * np.pi
-_LARGEST_BLOCK = 0.75  # of a period: the middle of a block is then known to 3/8 of a period, less than half
-_LARGEST_OFFSET = 0.25  # of a period, between fringes and Gray code
-_LEAST_AGREEMENT = 0.7  # length of the mean of exp(i difference) of fringes and Gray code, over that of perfect ones
 _BLOCK_EDGE = 0.05  # of a block: blur of its edges and noise change the number of the block
 _LINES = 64  # jumps of the numbers of blocks are counted in so many lines of the image
 _JUMPS = 0.5  # per line: a step of the surface gives one or two on some lines, interchanged bits on all
 _CONTRAST = 5.0  # bright and dark of a clear bit differ by so many standard deviations
-
-
-@dataclass(frozen=True)
-class _Wave:
-    """Wrapped phase of one period [rad], zero at column or row 0, and its standard deviation."""
-
-    period: float
-    phase: np.ndarray
-    sigma: np.ndarray
+_NO_PATTERN = (ErrorCode.FLICKER, ErrorCode.SATURATED, ErrorCode.DARK)  # no other patterns explain these faults
+_OTHER_LISTS: dict[str, Callable[[list[ProjectedPattern]], list[ProjectedPattern]]] = {
+    "reversed": lambda listed: listed[::-1],
+    "begun with the last one": lambda listed: [*listed[-1:], *listed[:-1]],
+    "reversed but for the last one": lambda listed: [*listed[-2::-1], listed[-1]],
+}
 
 
 def measure_phase_images(folder: Path, description: FringeImageDescription) -> xr.Dataset:
@@ -57,6 +50,10 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     known where one of them covers the projector's image, or from the Gray code; where its blocks are too wide for the
     coarsest fringes, the beat of the two coarsest pitches is the coarsest wave (heterodyne). Otherwise the phase is
     unwrapped over the image and relative.
+
+    The harmonics of a nonlinear response are fitted to the difference of the phases of a coarse pitch and the next
+    finer one, and the orders are freed of them. Points whose order the noise, or what is left, makes uncertain are left
+    out: normal errors give a wrong order at fewer than 6e-7 of the points.
 
     Parameters
     ----------
@@ -75,8 +72,9 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         gives another block than the fringes, more than 5 % of a block away from its edges; ``gain`` of each frame (its
         image) with ``gain_sigma``, 1 and 0 without flicker. The phase has the attribute ``relative``; attributes of the
         dataset are ``direction``, ``pitch_px`` of the finest fringes, their ``harmonic_error`` [fringe] before a
-        correction, ``harmonics_corrected``, the range of the light over the frames of a pitch ``light_change``, and the
-        RMS error of the phase [fringe] by uncertain gains ``light_error``.
+        correction, ``harmonics_corrected``, the range of the light over the frames of a pitch ``light_change``, the RMS
+        error of the phase [fringe] by uncertain gains ``light_error``, and ``uncertain_orders``, the part of the points
+        measured at all pitches that is left out.
 
     Raises
     ------
@@ -85,7 +83,7 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     StepError
         The images are faulty or not as described; the message names the image.
     PhaseError
-        The pitches give no phase.
+        The pitches give no phase, or leave the orders of most points uncertain.
 
     References
     ----------
@@ -94,37 +92,31 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     """
     entries = sorted(description.fringes, key=lambda each: -each.pitch_px)
     names = [name for each in entries for name in each.images]
-    frames = np.array(read_alike([folder / name for name in names]))
     patterns = [each for entry in entries for each in entry.patterns(description.orientation)]
-    settings = PhaseSettings(saturation=description.saturation, largest_error=description.maximum_error_fringe)
-    gains = find_gains(frames, patterns, settings)
-    fault = _find_fault(frames, patterns, settings, gains)
-    if fault is not None:
-        images = ", ".join(names[frame] for frame in fault.frames[:2]) or "the images"
-        turned = _turned_pitches(frames, patterns, settings)
-        advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
-        raise StepError(f"{images}: {describe(fault)}{advice}", code=fault.kind.code)
-    layout = layout_of(patterns)
-    noise = estimate_sample_noise(Sample.from_stack(frames, layout).with_light(gains.values))
-    waves, maps = [], []
-    for entry, where, covariance in zip(entries, layout.slices(), gains.covariance, strict=True):
-        measured = _measure_pitch(frames[where], patterns[where], noise, description, (gains.values[where], covariance))
-        maps.append(measured)
-        origin = TURN * description.origin / entry.pitch_px
-        waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
-    blocks = None
-    if description.gray_code is not None:
-        code = [folder / name for name in description.gray_code.images]
-        bits = read_alike(code)
-        require_size(code[0], bits[0], folder / names[0], frames.shape[1:])
-        blocks = _blocks(np.array(bits, np.float32), description.gray_code, noise, frames, description.orientation)
-    finest, measured = waves[-1], maps[-1]
-    pitches = [wave.period for wave in waves]
-    by_beats = blocks is None and nearly_alike(pitches) and unambiguous_range(pitches) >= description.projector_px
-    if by_beats:
-        absolute, sigma = _from_beats(waves, description)
+    stack = _Stack(np.array(read_alike([folder / name for name in names])), patterns, folder, description)
+    gains = stack.find_gains()
+    fault = stack.find_fault(gains)
+    if fault is None:
+        try:
+            solution = _solve(stack, gains)
+        except PhaseError as error:
+            listed = _list_that_fits(stack)
+            if not listed:
+                raise
+            raise StepError(listed, code=ErrorCode.WRONG_PATTERN) from error
     else:
-        absolute, sigma = _absolute(waves, blocks, description), finest.sigma
+        foreign = fault.kind.code in _NO_PATTERN
+        explained = None if foreign else _explained(stack, gains)
+        if explained is None:
+            listed = "" if foreign else _list_that_fits(stack)
+            # two frames interchanged may look like a list that runs backwards; other faults do not
+            if listed and fault.kind is not FindingKind.INTERCHANGED:
+                raise StepError(listed, code=ErrorCode.WRONG_PATTERN)
+            images = ", ".join(names[frame] for frame in fault.frames[:2]) or "the images"
+            raise StepError(f"{images}: {describe(fault)}{f'; {listed}' if listed else ''}", code=fault.kind.code)
+        solution = explained
+    waves, measured, blocks, orders = solution.waves, solution.measured, solution.blocks, solution.orders
+    absolute, sigma, finest = orders.phase, orders.sigma, waves[-1]
     origin = TURN * description.origin / finest.period
     image = ("row", "column")
     valid = np.isfinite(absolute.values)
@@ -136,12 +128,12 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         valid=(image, valid),
     )
     if len(waves) > 1:
-        coarse = waves[-2]
+        coarse = waves[-2].corrected(orders.harmonics[-2]) if description.correct_harmonics else waves[-2]
         ratio = finest.period / coarse.period
         away = coarse.phase - absolute.values * ratio
         away -= TURN * np.round(away / TURN)
         # a weighted mean contains the coarse phase; that of the finest fringes alone does not
-        variance = coarse.sigma**2 + (-1 if by_beats else 1) * (ratio * sigma) ** 2
+        variance = coarse.sigma**2 + (-1 if orders.by_beats else 1) * (ratio * sigma) ** 2
         result["closure"] = (image, (away / np.sqrt(variance)).astype(np.float32))
     if blocks is not None and description.gray_code is not None:
         inside = valid & np.isfinite(blocks)
@@ -153,41 +145,142 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
     result.attrs = {
         "direction": description.direction,
         "pitch_px": finest.period,
-        "harmonic_error": measured.phase.attrs["harmonic_error"],
+        "harmonic_error": orders.harmonics[-1].rms,
         "harmonics_corrected": int(description.correct_harmonics),
         "light_change": gains.finding.light_change if gains.finding else 0.0,
         "light_error": gains.finding.value if gains.finding else 0.0,
+        "uncertain_orders": orders.uncertain,
     }
     return result
 
 
-def _find_fault(
-    frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings, gains: Gains
-) -> Finding | None:
-    """Return the fault that the fitted gains leave; by the name that it has without them unless that is the light."""
+@dataclass(frozen=True)
+class _Stack:
+    """Fringe images with the patterns that they show, or may show."""
 
-    def inspect(values: np.ndarray | None) -> Finding | None:
-        return next((each for each in inspect_stack(frames, patterns, settings, gains=values) if each.fault), None)
+    frames: np.ndarray
+    patterns: list[ProjectedPattern]
+    folder: Path
+    description: FringeImageDescription
 
-    left = inspect(gains.values)
-    if left is not None and gains.covers_flicker:  # of four frames, gains explain a part of other faults, too
-        plain = inspect(None)
-        left = left if plain is None or plain.kind in LIGHT else plain
-    undetermined = gains.finding is not None and gains.finding.fault
-    return gains.finding if undetermined and (left is None or left.kind in LIGHT) else left
+    @property
+    def settings(self) -> PhaseSettings:
+        """Of the checks."""
+        chosen = self.description
+        return PhaseSettings(saturation=chosen.saturation, largest_error=chosen.maximum_error_fringe)
+
+    def find_gains(self) -> Gains:
+        return find_gains(self.frames, self.patterns, self.settings)
+
+    def find_fault(self, gains: Gains) -> Finding | None:
+        """Return the fault that the gains leave; by the name that it has without them unless that is the light."""
+
+        def inspect(values: np.ndarray | None) -> Finding | None:
+            found = inspect_stack(self.frames, self.patterns, self.settings, gains=values)
+            return next((each for each in found if each.fault), None)
+
+        left = inspect(gains.values)
+        if left is not None and gains.covers_flicker:  # of four frames, gains explain a part of other faults, too
+            plain = inspect(None)
+            left = left if plain is None or plain.kind in LIGHT else plain
+        undetermined = gains.finding is not None and gains.finding.fault
+        return gains.finding if undetermined and (left is None or left.kind in LIGHT) else left
+
+    def without_harmonics(self, errors: list[HarmonicError]) -> _Stack:
+        """Return the images without the harmonics of the response that change the phase of each pitch."""
+        frames = self.frames.astype(np.float32)
+        level = int(saturation_level(self.frames, self.settings.saturation))
+        for where, error in zip(layout_of(self.patterns).slices(), errors, strict=True):
+            if not error.ratio or np.isnan(error.ratio):
+                continue
+            angles = shift_angles(self.patterns[where])
+            _, cosine, sine = fit_wave(frames[where].reshape(len(angles), -1), angles)
+            phase = error.correct(np.arctan2(sine, cosine))
+            strength = np.hypot(cosine, sine) / np.abs(1 + error.ratio * np.exp(-1j * error.shifts * phase))
+            for frame, angle in zip(frames[where], angles, strict=True):
+                harmonic = error.ratio * strength * np.cos((error.shifts - 1) * (phase - angle))
+                frame -= np.where(frame < level, harmonic.reshape(frame.shape), 0).astype(np.float32)
+        return replace(self, frames=frames, description=self.description.model_copy(update={"saturation": level}))
 
 
-def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings) -> str:
-    """Return the pitches [projector px] whose shifts run the other way, empty where this explains no fault."""
-    slices = layout_of(patterns).slices()
-    for chosen in [*([each] for each in slices), slices]:
-        turned = list(patterns)
+@dataclass(frozen=True)
+class _Solution:
+    """Phases of all pitches, maps of the finest one, blocks of the Gray code, and the orders."""
+
+    waves: list[Wave]
+    measured: xr.Dataset
+    blocks: np.ndarray | None
+    orders: WaveOrders
+
+    def grows(self, orientation: Orientation) -> bool:
+        """Whether the phase grows to the right or downwards in the image."""
+        across = 1 if orientation == Orientation.VERTICAL else 0
+        return float(np.nanmedian(np.diff(self.orders.phase.values, axis=across))) > 0
+
+
+def _solve(stack: _Stack, gains: Gains) -> _Solution:
+    """Demodulate all pitches and solve their orders."""
+    description, layout = stack.description, layout_of(stack.patterns)
+    noise = estimate_sample_noise(Sample.from_stack(stack.frames, layout).with_light(gains.values))
+    waves, maps = [], []
+    for where, covariance in zip(layout.slices(), gains.covariance, strict=True):
+        patterns = stack.patterns[where]
+        light = (gains.values[where], covariance)
+        measured = _measure_pitch(stack.frames[where], patterns, noise, description, light)
+        maps.append(measured)
+        pitch, shifts = patterns[0].pitch, patterns[0].shifts
+        origin = TURN * description.origin / pitch
+        waves.append(Wave(pitch, measured.phase.values + origin, measured.sigma.values, shifts, origin))
+    blocks = None
+    if description.gray_code is not None:
+        code = [stack.folder / name for name in description.gray_code.images]
+        bits = read_alike(code)
+        fringes = max(description.fringes, key=lambda each: each.pitch_px).images[0]
+        require_size(code[0], bits[0], stack.folder / fringes, stack.frames.shape[1:])
+        blocks = _blocks(
+            np.array(bits, np.float32), description.gray_code, noise, stack.frames, description.orientation
+        )
+    return _Solution(waves, maps[-1], blocks, solve_orders(waves, blocks, description))
+
+
+def _explained(stack: _Stack, gains: Gains) -> _Solution | None:
+    """Return the solution of images without a fault beside the harmonics of the response; None for others."""
+    try:
+        solution = _solve(stack, gains)
+    except FringedicError:
+        return None
+    if stack.find_fault(gains) is None:
+        return solution
+    if solution.orders.phase.attrs["relative"]:
+        return None
+    linear = stack.without_harmonics(solution.orders.harmonics)
+    return solution if linear.find_fault(linear.find_gains()) is None else None
+
+
+def _list_that_fits(stack: _Stack) -> str:
+    """Return with which lists of shifts the images fit, empty for none.
+
+    Lists that run backwards and lists that begin with the last shift are tried, of all pitches and of each. Of several
+    that fit, one is taken with which the phase grows to the right or downwards in the image.
+    """
+    slices = layout_of(stack.patterns).slices()
+    several = ([slices] if len(slices) > 1 else []) + [[each] for each in slices]
+    best = ""
+    for chosen, (words, turn) in product(several, _OTHER_LISTS.items()):
+        patterns = list(stack.patterns)
         for where in chosen:
-            turned[where] = patterns[where][::-1]
-        gains = find_gains(frames, turned, settings)
-        if not any(each.fault for each in inspect_stack(frames, turned, settings, gains=gains.values)):
-            return " and ".join(f"{patterns[where.start].pitch:g}" for where in chosen)
-    return ""
+            patterns[where] = turn(patterns[where])
+        other = replace(stack, patterns=patterns)
+        solution = _explained(other, other.find_gains())
+        if solution is None:
+            continue
+        pitches = " and ".join(f"{patterns[where.start].pitch:g}" for where in chosen)
+        shifts = " and ".join(dict.fromkeys(str([each.shift for each in patterns[where]]) for where in chosen))
+        found = f"the images fit with the list of shifts of pitch {pitches} px {words}: shifts {shifts}"
+        if solution.grows(stack.description.orientation):
+            return found
+        best = best or found
+    return best
 
 
 def _measure_pitch(
@@ -210,10 +303,6 @@ def _measure_pitch(
     if covariance.any():
         phase, modulation, texture = (measured[name].values for name in ("phase", "modulation", "texture"))
         add_gain_variance(phase, modulation, texture, shift_angles(patterns), covariance, measured.sigma.values)
-    error = fit_harmonic_error(measured.phase, len(patterns), description.orientation)
-    if description.correct_harmonics:
-        measured["phase"] = measured.phase.copy(data=error.correct(measured.phase.values))
-    measured.phase.attrs["harmonic_error"] = error.rms
     return measured
 
 
@@ -255,69 +344,3 @@ def _check_bits(bits: np.ndarray, certain: np.ndarray, code: GrayCodeImages, ori
                 "blocks follow each other when they are exchanged",
                 code=ErrorCode.FRAMES_OUT_OF_ORDER,
             )
-
-
-def _absolute(waves: list[_Wave], blocks: np.ndarray | None, description: FringeImageDescription) -> xr.DataArray:
-    """Return the absolute phase of the finest wave [rad], zero at column or row 0, or one that is relative."""
-    levels = list(waves)
-    block = description.gray_code.block_px if description.gray_code is not None else description.projector_px
-    reach = block / _LARGEST_BLOCK if blocks is not None else float(description.projector_px)
-    if levels[0].period < reach and len(levels) > 1:
-        levels.insert(0, _beat(*levels[:2]))
-    coarsest = levels[0]
-    if coarsest.period < reach:
-        if blocks is not None:
-            raise PhaseError(
-                f"blocks of {block:g} px do not determine the order of fringes of {coarsest.period:g} px: show fringes "
-                f"of {reach:g} px or more, or a second pitch whose beat is that long",
-                code=ErrorCode.INVALID_SEQUENCE,
-            )
-        return unwrap_spatial(waves[-1].phase)
-    middle = np.asarray(0.5 if blocks is None else blocks + 0.5) * block - 0.5
-    if blocks is not None:
-        code = TURN * middle / coarsest.period
-        # the code is that of the middle of each block
-        least = _LEAST_AGREEMENT * float(np.sinc(block / coarsest.period))
-        for sign in (1, -1):
-            away = np.exp(1j * (sign * coarsest.phase - code))
-            mean = complex(np.mean(away[np.isfinite(away)]))
-            if abs(mean) > least:
-                break
-        else:
-            raise StepError(
-                "fringes and Gray code do not belong together: check pitches, shifts and width of the blocks",
-                code=ErrorCode.WRONG_PATTERN,
-            )
-        if sign < 0:
-            raise StepError(
-                "the fringes grow against the Gray code: reverse the lists of shifts", code=ErrorCode.WRONG_PATTERN
-            )
-        offset = float(np.angle(mean)) / TURN
-        if abs(offset) > _LARGEST_OFFSET:
-            origin = description.origin - offset * coarsest.period
-            raise StepError(
-                f"the fringes are displaced by {offset * coarsest.period:.0f} px against the Gray code: origin_px "
-                f"{origin:.0f} would fit",
-                code=ErrorCode.WRONG_PATTERN,
-            )
-    phase = assign_orders(coarsest.phase, np.broadcast_to(TURN * middle / coarsest.period, coarsest.phase.shape))
-    for coarse, fine in pairwise(levels):
-        phase = assign_orders(fine.phase, phase.values * coarse.period / fine.period)
-    return phase
-
-
-def _from_beats(waves: list[_Wave], description: FringeImageDescription) -> tuple[xr.DataArray, np.ndarray]:
-    """Return the absolute phase of the finest wave from all waves [rad], zero at column or row 0, and its deviation."""
-    middle = 0.5 * (description.projector_px - 1)
-    turned = [np.asarray(wave.phase) - TURN * middle / wave.period for wave in waves]
-    wrapped = np.array([each - TURN * np.round(each / TURN) for each in turned], np.float32)
-    sigmas = np.array([wave.sigma for wave in waves], np.float32)
-    phase, sigma = combine_beats(wrapped, sigmas, [wave.period for wave in waves], known_noise=True)
-    absolute = xr.DataArray(phase + TURN * middle / waves[-1].period, dims=("row", "column"), attrs={"relative": 0})
-    return absolute, sigma
-
-
-def _beat(coarse: _Wave, fine: _Wave) -> _Wave:
-    """Return the difference of two waves, whose period is longer than both (heterodyne)."""
-    period = 1 / (1 / fine.period - 1 / coarse.period)
-    return _Wave(period, fine.phase - coarse.phase, np.hypot(fine.sigma, coarse.sigma))

@@ -17,6 +17,7 @@ from fringedic.wording.numbers import number_text
 
 _DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
 _STRAINS = ("e_xx", "e_yy", "e_xy")
+_FEW = 0.001  # of the points
 
 
 def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
@@ -119,7 +120,7 @@ def _median(step: xr.Dataset, name: str) -> float:
 
 
 def phase_sentences(measured: xr.Dataset) -> Iterator[str]:
-    """Yield what was measured, its noise, the error by the response, and what the checks of the orders found.
+    """Yield what was measured, its noise, its direction, the errors, and what the checks of the orders found.
 
     Parameters
     ----------
@@ -135,6 +136,18 @@ def phase_sentences(measured: xr.Dataset) -> Iterator[str]:
     )
     if measured.phase.attrs["relative"]:
         yield "the phase is relative: unwrapped over the image, true up to whole fringes, and wrong behind steps"
+    if _falls(measured):
+        place = "column falls to the right" if measured.attrs["direction"] == "vertical" else "row falls downwards"
+        yield (
+            f"the projector's {place} in the image: the shifts of all pitches are listed backwards (reverse their "
+            "lists), unless projector or camera is upside down or looks through a mirror"
+        )
+    uncertain = float(measured.attrs["uncertain_orders"])
+    if uncertain > _FEW:
+        yield (
+            f"orders: {100 * uncertain:.1f} % of the points measured at all pitches are left out, because noise and "
+            "other errors of a coarse pitch make their order uncertain: show more shifts or a pitch between them"
+        )
     if measured.attrs["light_change"]:
         yield (
             f"light: it changes by {100 * float(measured.attrs['light_change']):.1f} % between the frames of a pitch "
@@ -152,3 +165,9 @@ def phase_sentences(measured: xr.Dataset) -> Iterator[str]:
     if "other_block" in measured:
         wrong = int(measured.other_block.sum())
         yield f"orders: {wrong} of {int(measured.valid.sum())} points are in another block of the Gray code"
+
+
+def _falls(measured: xr.Dataset) -> bool:
+    """Return whether the projector's column falls to the right, or its row downwards, at most points."""
+    across = "column" if measured.attrs["direction"] == "vertical" else "row"
+    return float(measured.coordinate.diff(across).median()) < 0

@@ -29,7 +29,8 @@ _STEPS = (1, 2, 3, 5)
 _SHARED = 6  # neighbouring differences 1, -2, 1 have noise in common: as much information as a sixth of them at least
 _OUTLIER = 6.0  # a step of the surface exceeds the median difference so many times
 _ROUNDS = 8  # of Newton's method; rho = 0.3 takes five, a small one two
-_CHANGE = 1e-5  # the rounds end when rho and the phase [rad] change by less
+_CHANGE = 1e-5  # the rounds end when rho changes by less
+_NODES = 4097  # of the inverse of the error: linear interpolation errs by less than 1e-6 rad
 _LARGEST_SIGMA = 0.003  # of rho, 0.0003 fringe; an error that is less well known is not stated,
 _LARGEST_PART = 0.05  # unless it is known to this part of itself
 
@@ -61,24 +62,29 @@ class HarmonicError:
         turns = self.shifts * phase
         return np.asarray(-np.arctan2(self.ratio * np.sin(turns), 1 + self.ratio * np.cos(turns)))
 
+    def growth(self, phase: np.ndarray) -> np.ndarray:
+        """Return the derivative of the measured phase by the true one, at a true phase [rad].
+
+        The noise of a corrected phase is that of the measured one divided by it.
+        """
+        cosine = np.cos(self.shifts * phase)
+        part = self.ratio * (cosine + self.ratio) / (1 + 2 * self.ratio * cosine + self.ratio**2)
+        return np.asarray(1 - self.shifts * part)
+
     def slope(self, phase: np.ndarray) -> np.ndarray:
         """Return the derivative of the error by rho at a true phase [rad]."""
         turns = self.shifts * phase
         return np.asarray(-np.sin(turns) / (1 + 2 * self.ratio * np.cos(turns) + self.ratio**2))
 
     def correct(self, phase: np.ndarray) -> np.ndarray:
-        """Return a measured phase [rad], any shape, without the error (Newton's method); unchanged where rho is NaN."""
+        """Return a measured phase [rad], any shape, without the error; unchanged where rho is 0 or NaN."""
         if not self.ratio or math.isnan(self.ratio):
             return phase
-        true = phase.astype(float)
-        for _ in range(_ROUNDS):
-            cosine = np.cos(self.shifts * true)
-            part = self.ratio * (cosine + self.ratio) / (1 + 2 * self.ratio * cosine + self.ratio**2)
-            change = (true + self.at(true) - phase) / (1 - self.shifts * part)
-            true -= change
-            if np.nanmax(np.abs(change), initial=0.0) < _CHANGE:
-                break
-        return np.asarray(true, phase.dtype)
+        # the error has q periods per turn and is zero at their ends
+        true = np.linspace(-np.pi, np.pi, _NODES) / self.shifts
+        period = 2 * np.pi / self.shifts
+        start = period * np.round(phase.astype(float) / period)
+        return np.asarray(start + np.interp(phase - start, true + self.at(true), true), phase.dtype)
 
 
 def fit_harmonic_error(phase: xr.DataArray, shifts: int, orientation: Orientation) -> HarmonicError:

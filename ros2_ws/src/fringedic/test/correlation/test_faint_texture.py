@@ -1,0 +1,44 @@
+"""Coarse speckle whose slopes do not stand out from the noise of single pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fringedic.correlation import measure_displacement
+from fringedic.errors import CorrelationError, ErrorCode
+
+SHAPE = (480, 640)
+Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+CONTRAST = 614.0  # [grey level] of the surface of the fixture
+
+
+@pytest.fixture(scope="module")
+def surface(speckle):
+    return speckle(SHAPE, 21, radius=6.0)
+
+
+@pytest.mark.parametrize("noise", [1.0, 0.6, 0.35])
+def test_coarse_and_faint_texture(surface, expose, noise):
+    """Noise in units of the contrast; pixels are averaged, and the result says so and names the wider window."""
+    exact = 3.25 + 0.01 * X, -1.5 - 0.005 * Y
+    motion = lambda x, y: (3.25 + 0.01 * x, -1.5 - 0.005 * y)  # noqa: E731
+    reference = 2048 + 0.5 * (surface.grey() - 2048)
+    deformed = 2048 + 0.5 * (surface.grey(motion) - 2048)
+    images = [expose(each, 0.5 * noise * CONTRAST, seed) for seed, each in enumerate((reference, deformed))]
+    field = measure_displacement(*images, spacing=4)
+    wrong = np.stack([field.displacement_x - exact[0][::4, ::4], field.displacement_y - exact[1][::4, ::4]])
+    z = wrong / np.stack([field.sigma_x, field.sigma_y])
+    binning = field.attrs["binning_px"]
+    assert field.attrs["window_px"] == 32 * binning
+    assert binning in (2, 4, 8)
+    assert field.valid.mean() > 0.8
+    assert 0.8 < np.sqrt(np.nanmean(z**2)) < 1.25
+    assert np.nanmax(np.abs(z)) < 6
+
+
+def test_noise_alone_is_refused(expose):
+    images = [expose(np.full(SHAPE, 2048.0), 300, seed) for seed in (1, 2)]
+    with pytest.raises(CorrelationError) as error:
+        measure_displacement(*images, spacing=4)
+    assert error.value.code is ErrorCode.NO_CORRELATION
