@@ -45,7 +45,10 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     model_step: Annotated[
         int | None, typer.Option(min=1, help="Only this load step of the mesh, counted from 1.")
     ] = None,
-    displacement: Annotated[str | None, typer.Option(help="Name of the displacement in the mesh.")] = None,
+    displacement: Annotated[
+        str | None,
+        typer.Option(help="Name of the displacement in the mesh, or of its scalar components, such as ux,uy."),
+    ] = None,
     pair: Annotated[
         list[str] | None,
         typer.Option(

@@ -160,7 +160,7 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     0.951
     """
     if not len(model.loads):
-        raise ModelError(f"{model.name}: has no displacement; export it at the nodes, or name its field")
+        raise ModelError(f"{model.name}: has no displacement; export it at the nodes, or name its field(s)")
     levelling = levelling_of(experiment)
     if reference_image is not None:
         _require_image(reference_image, experiment)

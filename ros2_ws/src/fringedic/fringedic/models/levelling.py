@@ -2,7 +2,8 @@
 
 The in-plane displacement passes through the windows of its method with the transfer `noise_transfer` of
 `fringedic.correlation.transfer` (measured waves lose a little more, decision 0101), the height through the Gaussian
-that smoothed it; the strain is that of `surface_strain` with the same window.
+that smoothed it; the strain is that of `surface_strain` with the same window. The plane of each field is subtracted
+before its windows, which edges cut off, and added again: a linear field is exact up to the edges, as it is measured.
 """
 
 from __future__ import annotations
@@ -50,12 +51,13 @@ class Levelling:
     def displacement(self, maps: np.ndarray) -> np.ndarray:
         """Return maps of u, v, w (3, row, column) as they would be measured; NaN stays NaN."""
         known = np.isfinite(maps).all(axis=0)
-        u, v, w = np.where(known, maps, 0.0).astype(np.float32)
+        planes = _fit_planes(maps, known)
+        u, v, w = np.where(known, maps - planes, 0.0).astype(np.float32)
         if self.z_filter > 0:
             w = _normalise(known, _gaussian(self.z_filter / self.spacing))(w)
         with ThreadPoolExecutor(2) as pool:
             in_plane = list(pool.map(lambda values: self._in_plane(values, known), (u, v)))
-        return np.where(known, np.stack([*in_plane, w]), np.nan)
+        return np.where(known, planes + np.stack([*in_plane, w]), np.nan).astype(np.float32)
 
     def nodal_strain(self, maps: np.ndarray) -> np.ndarray:
         """Return maps of e_11, e_22, e_12 (3, row, column) of the surface as they would be measured.
@@ -65,7 +67,12 @@ class Levelling:
         two such slopes. Before, the displacement passes through the window of the correlation.
         """
         known = np.isfinite(maps).all(axis=0)
-        e_11, e_22, e_12 = (self._in_plane(np.where(known, each, 0.0).astype(np.float32), known) for each in maps)
+        planes = _fit_planes(maps, known)
+        rest = np.where(known, maps - planes, 0.0).astype(np.float32)
+        e_11, e_22, e_12 = (
+            np.where(known, plane + self._in_plane(each, known), 0.0).astype(np.float32)
+            for plane, each in zip(planes, rest, strict=True)
+        )
         reach = max(1, round((self.strain_window - 1) / 2 / self.spacing))
         place = np.arange(-reach, reach + 1)
         equal, falling = np.ones(len(place)), reach * (reach + 1) - place * (place - 1.0)
@@ -113,6 +120,17 @@ def levelling_of(experiment: xr.Dataset) -> Levelling:
         z_filter=float(coupling.get("z_filter_px", 0.0)),
         strain_window=int(strain.get("strain_window_px", coupling.get("strain_window_px", 0))),
         spacing=int(spacing_of(experiment["column"].values)),
+    )
+
+
+def _fit_planes(maps: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the least-squares planes of the known points of maps (map, row, column), of their shape."""
+    row, column = (np.arange(size, dtype=float) for size in known.shape)
+    here = np.nonzero(known)
+    basis = np.stack([np.ones(len(here[0])), row[here[0]], column[here[1]]])
+    found = np.linalg.lstsq(basis @ basis.T, basis @ maps[:, known].T, rcond=None)[0]
+    return np.asarray(
+        found[0, :, None, None] + found[1, :, None, None] * row[:, None] + found[2, :, None, None] * column
     )
 
 

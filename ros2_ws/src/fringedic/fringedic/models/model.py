@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fringedic.errors import ModelError
-from fringedic.models.results_table import NodalResults, node_labels, read_results
+from fringedic.models.results_table import DISPLACEMENT, NodalResults, find_columns, node_labels, read_results
 from fringedic.wording.arguments import check_arguments, number, one_of, optional, path, several, text, whole
 from fringedic.wording.causes import cause_of
 from fringedic.wording.numbers import counted
@@ -129,8 +129,10 @@ def read_model(
     unit
         Of lengths and displacements in the file: ``"m"``, ``"mm"``, ``"um"`` or ``"inch"``. A mesh does not contain it.
     displacement
-        Name of the field of displacement vectors at the nodes; by default the only vector field. A file without one
-        is a nominal shape.
+        Name of the field of displacement vectors at the nodes, or the names of two or three scalar fields, such as
+        ``"ux,uy"``; by default the only vector field, or scalar fields with usual names (``ux``, ``U1``, ``u``,
+        ``displacement_x`` ...). A third component that is missing, or NaN at all nodes, is 0. A file without a
+        displacement is a nominal shape.
     strain
         Name of a field of strain at the nodes: 6 components xx, yy, zz, xy, yz, xz with the tensor shear, or all 9. By
         default the strain is computed from the displacement, as the measured one is.
@@ -236,8 +238,12 @@ def _read_mesh(source: Path) -> pyvista.DataSet:
     with optional_import("models"):
         import meshio  # type: ignore[import-untyped]
         import pyvista
+
+        from fringedic.models.legacy_vtk import read_legacy
     suffix = source.suffix.lower()
     with _damage_named(source):
+        if suffix == ".vtk":
+            return read_legacy(source)
         mesh = pyvista.read(source) if suffix in _VTK_SUFFIXES else pyvista.from_meshio(meshio.read(source))
     return mesh
 
@@ -302,27 +308,36 @@ def _strain(mesh: pyvista.DataSet, name: str, source: str) -> np.ndarray:
 
 
 def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.ndarray | None:
-    """Return the vectors (node, 3) of the displacement; None for a mesh without vectors that names none."""
-    others = {mesh.point_data.active_normals_name, mesh.point_data.active_texture_coordinates_name}
-    vectors = [
-        each
-        for each in mesh.point_data
-        if np.ndim(mesh.point_data[each]) == 2 and mesh.point_data[each].shape[1] <= 3 and each not in others
-    ]
-    if name is None and len(vectors) > 1:
-        raise ModelError(
-            f"{source}: has the vector fields {', '.join(vectors)}; name the one of the displacement (--displacement)"
-        )
-    if name is not None and name not in vectors:
-        raise ModelError(
-            f"{source}: has no vectors {name!r} at its nodes, it has {', '.join(vectors) or 'none'}; export the "
-            "displacement at the nodes, or name one of these (--displacement)"
-        )
-    if not vectors:
-        return None
-    field = np.asarray(mesh.point_data[name or vectors[0]], float)
+    """Return the vectors (node, 3) of the displacement; None for a mesh without a displacement that names none."""
+    fields = {each: np.asarray(mesh.point_data[each]) for each in mesh.point_data}
+    scalars = [each for each, values in fields.items() if values.ndim == 1]
+    vectors = [each for each, values in fields.items() if values.ndim == 2 and values.shape[1] <= 3]
+    if name is None:
+        others = {mesh.point_data.active_normals_name, mesh.point_data.active_texture_coordinates_name}
+        chosen = [each for each in vectors if each not in others]
+        if len(chosen) > 1:
+            raise ModelError(
+                f"{source}: has the vector fields {', '.join(chosen)}; name the one of the displacement "
+                "(--displacement)"
+            )
+        if not chosen:
+            components = find_columns(scalars, DISPLACEMENT)
+            if {0, 1} - components.keys():
+                return None
+            chosen = [scalars[place] for place in components.values()]
+    elif name in vectors:
+        chosen = [name]
+    else:
+        chosen = [each.strip() for each in name.split(",")]
+        if len(chosen) not in (2, 3) or set(chosen) - set(scalars):
+            raise ModelError(
+                f"{source}: has no vectors {name!r} at its nodes, it has {', '.join([*vectors, *scalars]) or 'none'}; "
+                "export the displacement at the nodes, or name a vector field or two scalar fields, such as ux,uy "
+                "(--displacement)"
+            )
+    field = np.column_stack([fields[each] for each in chosen]).astype(float)
     if field.shape[1] not in (2, 3):
-        raise ModelError(f"{source}: {name or vectors[0]} has {field.shape[1]} components; a displacement has 3")
+        raise ModelError(f"{source}: {chosen[0]} has {field.shape[1]} components; a displacement has 3")
     return np.pad(field, ((0, 0), (0, 3 - field.shape[1])))
 
 
@@ -330,7 +345,8 @@ def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, NodalResults], 
     """Return the model of a mesh with results by load; fields move with the nodes to the surface."""
     scale = UNITS[unit]
     for load, results in fields.items():
-        mesh.point_data[f"{_PREFIX}{load}"] = results.displacement
+        plane = np.isnan(results.displacement[:, 2]).all()  # written by a plane model
+        mesh.point_data[f"{_PREFIX}{load}"] = np.where([False, False, plane], 0.0, results.displacement)
         if results.strain is not None:
             mesh.point_data[f"{_STRAIN_PREFIX}{load}"] = results.strain
     surface = _surface(name, mesh)

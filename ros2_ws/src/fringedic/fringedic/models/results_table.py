@@ -13,7 +13,10 @@ import numpy as np
 from fringedic.errors import ModelError
 
 _LABEL = re.compile(r"(node ?)?(label|number|id)|node", re.I)
-_DISPLACEMENT = [re.compile(rf"(.*[^a-z0-9])?u[_ ]?({number}|{axis})", re.I) for number, axis in enumerate("xyz", 1)]
+DISPLACEMENT = [  # names of its components: U1, UX, u_x, U-U1, u, displacement_x
+    re.compile(rf"(.*[^a-z0-9])?(u|displacement)[_ ]?({number}|{axis})|{letter}", re.I)
+    for number, (axis, letter) in enumerate(zip("xyz", "uvw", strict=True), 1)
+]
 _STRAIN = [re.compile(rf"(.*[^a-z0-9])?l?e[_ ]?{number}", re.I) for number in (11, 22, 33, 12, 23, 13)]
 _NODE_KEYWORD = re.compile(r"\*node(\s*,|\s*$)", re.I)
 
@@ -53,8 +56,8 @@ def read_results(file: Path, labels: Sequence[int]) -> NodalResults:
     """Read displacement and strain of the nodes with these labels from a table.
 
     The table has a heading, a column of node labels (``Node Label``, ``node``), the displacement (``U1``, ``U2``,
-    ``U3`` or ``UX`` ..., also ``U-U1``, ``U.U1``; two components are in the plane z = 0) and, if wanted, the strain
-    (``E11``, ``E22``, ``E12`` ... or ``LE11`` ..., with the engineering shear, as Abaqus writes them).
+    ``U3`` or ``UX`` ..., also ``U-U1``, ``U.U1``, ``u``; two components are in the plane z = 0) and, if wanted, the
+    strain (``E11``, ``E22``, ``E12`` ... or ``LE11`` ..., with the engineering shear, as Abaqus writes them).
 
     Raises
     ------
@@ -62,7 +65,7 @@ def read_results(file: Path, labels: Sequence[int]) -> NodalResults:
         The file is no such table, or lacks a node.
     """
     heading, rows = read_table(file)
-    node, moved, strained = (_columns(heading, wanted) for wanted in ([_LABEL], _DISPLACEMENT, _STRAIN))
+    node, moved, strained = (find_columns(heading, wanted) for wanted in ([_LABEL], DISPLACEMENT, _STRAIN))
     if not node or {0, 1} - moved.keys():
         raise ModelError(
             f"{file.name}: has the columns {', '.join(heading)[:200]}; it needs the node's label and U1, U2, U3"
@@ -124,7 +127,7 @@ def read_table(file: Path) -> tuple[list[str], dict[int, list[str]]]:
     return heading, rows
 
 
-def _columns(heading: Sequence[str], wanted: Sequence[re.Pattern[str]]) -> dict[int, int]:
+def find_columns(heading: Sequence[str], wanted: Sequence[re.Pattern[str]]) -> dict[int, int]:
     """Return the column of each quantity by its number, where there is one."""
     found = {}
     for number, name in enumerate(wanted):

@@ -201,6 +201,58 @@ def test_page_shows_the_curve_over_the_steps(right: xr.Dataset, tmp_path: Path):
     assert "Over the steps" not in page
 
 
+SLOPES = np.array([[0.05, 0.02, 0.0], [-0.01, -0.02, 0.0], [0.03, -0.01, 0.0]])  # of u, v, w along x, y, z
+
+
+def linear_plate(noise: float) -> tuple[xr.Dataset, Model]:
+    """A flat plate whose displacement is linear in x and y, as it is measured, and its exact model."""
+    generator = np.random.default_rng(5)
+    positions = np.stack([X, Y, 0 * X])
+    gradient = np.eye(3) + SLOPES
+    strain = (gradient.T @ gradient - np.eye(3)) / 2
+    true = dict(zip("uvw", np.einsum("ij,jrc->irc", SLOPES, positions), strict=True))
+    true |= {
+        name: np.full(X.shape, strain[at]) for name, at in {"e_11": (0, 0), "e_22": (1, 1), "e_12": (0, 1)}.items()
+    }
+    maps = dict(zip("xyz", positions, strict=True))
+    for name, values in true.items():
+        sigma = SIGMA.get(name, 20e-6)
+        maps[name] = values + noise * generator.normal(0, sigma, X.shape)
+        maps[f"sigma_{name}"] = np.full(X.shape, sigma)
+    fields = {name: (("step", "row", "column"), np.stack([0 * each, each])) for name, each in maps.items()}
+    fields |= {name: (("step", "row", "column"), np.stack(2 * [maps[name]])) for name in "xyz"}
+    extra = {"force": ("step", [0.0, 1000.0]), "reference_step": ("step", [0, 0])}
+    data = xr.Dataset({**fields, **extra}, {"step": [0, 1], "row": ROW[:, 0], "column": COLUMN[0]}, experiment().attrs)
+    nodes = model_of().nodes @ TURN.T + SHIFT
+    nodes[:, 2] = 0
+    motion = nodes @ SLOPES.T
+    return data, replace(model_of(), nodes=nodes, displacement=np.array([0 * motion, motion]))
+
+
+def test_an_exact_model_with_a_linear_displacement_has_no_error_at_the_border():
+    found = compare_model(*linear_plate(noise=0.0)).sel(step=1)
+    for name in ("u", "v", "w"):
+        assert float(np.abs(found[f"difference_{name}"]).max()) < 1e-10, name  # [m], the precision of float32
+    for name in ("e_11", "e_22", "e_12"):
+        assert float(np.abs(found[f"difference_{name}"]).max()) < 1e-6, name
+
+
+def test_an_exact_model_is_within_2_sigma_at_the_border_as_elsewhere():
+    found = compare_model(*linear_plate(noise=1.0)).sel(step=1)
+    band = np.ones(X.shape, bool)
+    band[20:-20, 20:-20] = False
+    for name in ("u", "v", "w", "e_11", "e_22", "e_12"):
+        normalized = found[f"normalized_{name}"].values
+        for region in (band, ~band):
+            # 95.45 % of a normal distribution, within four standard deviations of the share of so many points
+            values = normalized[
+                region & np.isfinite(normalized)
+            ]  # the strain window is less than half full at a corner
+            assert values.size > 0.98 * region.sum()
+            share = float(np.mean(np.abs(values) <= 2))
+            assert share == pytest.approx(0.9545, abs=4 * np.sqrt(0.9545 * 0.0455 / values.size)), name
+
+
 def test_a_modulus_that_is_2_percent_wrong_is_found():
     found = compare_model(experiment(), model_of(1 / 1.02), pairs=pairs(), steps=[2]).sel(step=2, quantity="e_11")
     assert float(found.factor) == pytest.approx(1.02, abs=3 * float(found.sigma_factor))
@@ -406,6 +458,86 @@ def test_surface_and_displacement_of_a_block_are_read(tmp_path: Path, quadratic:
     first, second, third = (model.nodes[model.triangles[:, corner]] for corner in range(3))
     volume = np.einsum("ij,ij->", first, np.cross(second, third)) / 6
     assert volume == pytest.approx(8e-9)
+
+
+PLANE = {"ux": [0.0, 1e-3, 1e-3, 0.0], "uy": [0.0, 0.0, 2e-3, 2e-3]}  # [mm] at the corners of a square of 1 mm
+
+
+def write_legacy(file: Path, fields: str) -> Path:
+    """A square of two triangles as legacy VTK, as a program without the library of VTK writes it."""
+    file.write_text(
+        "# vtk DataFile Version 3.0\nsquare\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+        "POINTS 4 float\n0 0 0\n1 0 0\n1 1 0\n0 1 0\nCELLS 2 8\n3 0 1 2\n3 0 2 3\nCELL_TYPES 2\n5\n5\n"
+        f"POINT_DATA 4\n{fields}\n"
+    )
+    return file
+
+
+def is_plane(model: Model) -> bool:
+    """Whether the displacement is that of `PLANE`, by the places of the nodes."""
+    x, y, z = model.nodes.T
+    return np.allclose(model.displacement_at(1.0), np.column_stack([1e-3 * x, 2e-3 * y, z]), atol=1e-12)
+
+
+@pytest.mark.parametrize("third", ["", " nan", " 0"])
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "VECTORS u float\n{}",
+        "SCALARS u float {n}\nLOOKUP_TABLE default\n{}",
+        "SCALARS u float {n}\n{}",
+        "FIELD FieldData 1\nu {n} 4 float\n{}",
+        "SCALARS temperature float\n1 2 3 4\nVECTORS u double\n{}\nSCALARS stress float 1\n5 6 7 8",
+    ],
+)
+def test_plane_vectors_of_legacy_files_are_read(tmp_path: Path, heading: str, third: str):
+    lines = "\n".join(f"{x} {y}{third}" for x, y in zip(*PLANE.values(), strict=True))
+    file = write_legacy(tmp_path / "plane.vtk", heading.format(lines, n=3 if third else 2))
+    assert is_plane(read_model(file, unit="mm", loads=[1.0]))
+
+
+def square(suffix: str) -> pyvista.DataSet:
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    surface = pyvista.PolyData(points, faces=[3, 0, 1, 2, 3, 0, 2, 3])
+    return surface if suffix == ".vtp" else surface.cast_to_unstructured_grid()
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".vtp", ".xdmf", ".med"])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"displacement": np.column_stack([*PLANE.values(), 4 * [np.nan]])},
+        {"displacement": np.column_stack([*PLANE.values()])},
+        PLANE,
+        {"U1": PLANE["ux"], "temperature": 4 * [20.0], "U2": PLANE["uy"]},
+        {"v": PLANE["uy"], "u": PLANE["ux"]},
+    ],
+)
+@pytest.mark.filterwarnings("ignore:The VTK reader")  # the range of an array of NaN
+def test_plane_vectors_and_two_scalar_fields_are_read(tmp_path: Path, suffix: str, fields: dict[str, np.ndarray]):
+    mesh = square(suffix)
+    for name, values in fields.items():
+        mesh.point_data[name] = values
+    if suffix in (".xdmf", ".med"):
+        pyvista.save_meshio(tmp_path / f"plane{suffix}", mesh)
+    else:
+        mesh.save(tmp_path / f"plane{suffix}")
+    assert is_plane(read_model(tmp_path / f"plane{suffix}", unit="mm", loads=[1.0]))
+
+
+def test_scalar_fields_are_named_and_a_single_nan_is_refused(tmp_path: Path):
+    mesh = square(".vtu")
+    mesh.point_data["a"], mesh.point_data["b"] = PLANE.values()
+    mesh.save(tmp_path / "plane.vtu")
+    assert is_plane(read_model(tmp_path / "plane.vtu", unit="mm", loads=[1.0], displacement="a,b"))
+    assert not read_model(tmp_path / "plane.vtu", unit="mm").loads.size
+    for name in ("a", "a,c", "a,b,a,b"):
+        with pytest.raises(ModelError, match=r"it has a, b; .* or two scalar fields, such as ux,uy"):
+            read_model(tmp_path / "plane.vtu", unit="mm", loads=[1.0], displacement=name)
+    mesh.point_data["c"] = [0.0, 0.0, np.nan, 0.0]
+    mesh.save(tmp_path / "plane.vtu")
+    with pytest.raises(ModelError, match="1 nodes have a position or result that is not finite"):
+        read_model(tmp_path / "plane.vtu", unit="mm", loads=[1.0], displacement="a,b,c")
 
 
 def test_results_of_an_abaqus_model_are_read_from_tables(tmp_path: Path):

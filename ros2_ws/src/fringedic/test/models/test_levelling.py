@@ -33,6 +33,15 @@ def test_a_uniform_displacement_is_not_changed_at_edges():
     assert np.nanmax(np.abs(found - maps)) < 1e-6
 
 
+@pytest.mark.parametrize("method", ["dense", "zoi"])
+def test_a_linear_displacement_is_not_changed_at_edges(method):
+    hole = np.hypot(COLUMN - 240, ROW - 200) < 60
+    true = np.stack([0.05 * COLUMN - 0.02 * ROW, 0.01 * ROW, 0.1 * COLUMN + 0.2 * ROW])
+    found = Levelling(32, method, 6.0, 41, 4).displacement(np.where(hole, np.nan, true))
+    assert np.array_equal(np.isnan(found[0]), hole)
+    assert np.nanmax(np.abs(found - true)) < 1e-5  # the precision of float32 at 120 px
+
+
 def test_levelled_displacement_is_closer_to_the_measured_one_at_a_hole(speckle):
     """An image pair whose displacement falls off from a hole: the filter predicts most of the loss."""
     surface = speckle((240, 240), seed=3)
