@@ -172,6 +172,7 @@ def test_results_of_images_are_exported_and_reported(
     images: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     scale = ("--pixel-size-mm", "0.05", "--spacing", "8")
+    scale += ("--strain-measure", "engineering")
     assert run_command(monkeypatch, "measure", *images, *scale, "--output", tmp_path / "measured") == 0
     dataset = tmp_path / "measured" / "displacement.nc"
     formats = [word for name in ("vtk", "csv", "mat", "png") for word in ("--to", name)]
@@ -179,7 +180,7 @@ def test_results_of_images_are_exported_and_reported(
     assert (tmp_path / "out" / "displacement_vtk" / "step_002.vtp").exists()
     heading = (tmp_path / "out" / "displacement_csv" / "step_002.csv").read_text("utf-8-sig").splitlines()[0]
     assert "u [µm]" in heading
-    assert "e_xx [µstrain]" in heading
+    assert "e_xx [µstrain] engineering" in heading
     page = tmp_path / "page.html"
     gauge = ("--extensometer", "middle=20,48,80,48")
     assert run_command(monkeypatch, "report", dataset, *gauge, "--output", page) == 0

@@ -60,6 +60,9 @@ def measure(  # noqa: PLR0913 (options of a command)
             help="Width of the window of the strain in px; it and the subset form the virtual strain gauge.",
         ),
     ] = 41,
+    strain_measure: Annotated[
+        str, typer.Option(help="Measure of the strain: green-lagrange, logarithmic or engineering.")
+    ] = "green-lagrange",
     pixel_size_mm: Annotated[float | None, typer.Option(help="Size of a pixel on the specimen in mm.")] = None,
     scale_length_mm: Annotated[
         float | None, typer.Option(help="A known length in mm, whose two ends are clicked in a window.")
@@ -86,6 +89,10 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
     if pixel_size_mm is not None and scale_length_mm is not None:
         raise ConfigurationError("--pixel-size-mm and --scale-length-mm both give the scale: give one of them")
+    from fringedic.surface.strain_measures import TENSORS
+
+    if strain_measure not in TENSORS:
+        raise ConfigurationError(f"--strain-measure {strain_measure}: give one of {', '.join(TENSORS)}")
     from fringedic.command.region_window import draw_scale
     from fringedic.datasets import open_experiment
     from fringedic.frames.files import image_files, read_grey
@@ -117,6 +124,7 @@ def measure(  # noqa: PLR0913 (options of a command)
             window=window,
             spacing=spacing,
             strain_window=strain_window,
+            strain_measure=strain_measure,
             pixel_size=pixel_size,
             mask=None if mask is None else mask_of(mask, read_grey(files[0]).shape),
             overwrite=overwrite,

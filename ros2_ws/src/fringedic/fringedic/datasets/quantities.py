@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 import xarray as xr
 
+from fringedic.errors import DatasetError
+from fringedic.surface.strain_measures import GREEN_LAGRANGE, STRAIN_MEASURE, TENSORS, flat_fields
+
 MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
@@ -87,25 +90,11 @@ class Layout(NamedTuple):
 
 _CONFIRMED = {"confirmed_fraction": Quantity("1", "part of the checked points with closures within 3 sigma")}
 RECORDING = Layout({**MAPS, **CLOSURES}, {**SCALARS, **_CONFIRMED}, TEXTS, timed=True)
-_FLAT_STRAIN = {
-    "e_xx": Quantity("1", "strain along x (right)"),
-    "e_yy": Quantity("1", "strain along y (up)"),
-    "e_xy": Quantity("1", "tensor shear strain of x (right) and y (up)"),
-    "e_1": Quantity("1", "larger principal strain"),
-    "e_2": Quantity("1", "smaller principal strain"),
-    "e_von_mises": Quantity("1", "equivalent strain (von Mises)"),
-    "sigma_e_xx": Quantity("1", "standard deviation of e_xx"),
-    "sigma_e_yy": Quantity("1", "standard deviation of e_yy"),
-    "sigma_e_xy": Quantity("1", "standard deviation of e_xy"),
-    "resolution_e_xx": Quantity("1", "expected error of e_xx by the smoothing of its window"),
-    "resolution_e_yy": Quantity("1", "expected error of e_yy by the smoothing of its window"),
-    "resolution_e_xy": Quantity("1", "expected error of e_xy by the smoothing of its window"),
-}
 GREY_RESIDUAL = Quantity("grey level", "deformed minus reference image at the material points")
 _IN_IMAGE = ("texture", "displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
 
 
-def layout_of_images(scaled: bool) -> Layout:
+def layout_of_images(scaled: bool, strain_measure: str = GREEN_LAGRANGE) -> Layout:
     """Return the variables of a series of images; lengths in metres only where the scale is known."""
     maps = {name: MAPS[name] for name in _IN_IMAGE}
     if scaled:
@@ -116,7 +105,8 @@ def layout_of_images(scaled: bool) -> Layout:
     }
     texts = {**TEXTS, "image": "name of the image"}
     checks = {name: CLOSURES[name] for name in ("displacement_closure_x", "displacement_closure_y")}
-    maps |= {**_FLAT_STRAIN, "grey_residual": GREY_RESIDUAL, **checks}
+    strain = {name: Quantity("1", long_name) for name, long_name in flat_fields(strain_measure).items()}
+    maps |= {**strain, "grey_residual": GREY_RESIDUAL, **checks}
     return Layout(maps, {**scalars, **_CONFIRMED}, texts, timed=False)
 
 
@@ -152,6 +142,37 @@ def people_unit(variable: xr.DataArray) -> PeopleUnit:
     if units == "1":
         return _MICROSTRAIN
     return PeopleUnit(units, units.replace(" ", "_"), 1.0)
+
+
+def strain_measure_of(dataset: xr.Dataset) -> str:
+    """Return the name of the measure of the strain of a dataset, one of `fringedic.surface.strain_measures.TENSORS`.
+
+    Raises
+    ------
+    DatasetError
+        The attribute contains another name.
+    """
+    measure = str(dataset.attrs.get(STRAIN_MEASURE, GREEN_LAGRANGE))
+    if measure not in TENSORS:
+        raise DatasetError(
+            f"attribute '{STRAIN_MEASURE}' of the dataset is {measure!r}: write one of {', '.join(TENSORS)}"
+        )
+    return measure
+
+
+def strain_words(dataset: xr.Dataset, name: str) -> str:
+    """Return measure and kind of shear of a map of images, for headings of tables; empty for other maps.
+
+    Examples
+    --------
+    >>> images = xr.Dataset(attrs={"strain_measure": "logarithmic"})
+    >>> strain_words(images, "e_xx"), strain_words(images, "e_xy"), strain_words(images, "sigma_e_xy")
+    ('logarithmic', 'logarithmic tensor shear', '')
+    """
+    measure = strain_measure_of(dataset)
+    if not name.startswith("e_") or name not in flat_fields(measure):
+        return ""
+    return f"{TENSORS[measure].title}{' tensor shear' if name == 'e_xy' else ''}"
 
 
 def sigma_of(name: str) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import parameters_of
+from fringedic.datasets.quantities import strain_measure_of
 from fringedic.errors import DatasetError
 from fringedic.evaluation.motion import motion_of
 from fringedic.evaluation.step_maps import step_of
@@ -49,7 +50,8 @@ def strain_of_step(dataset: xr.Dataset, window: int, *, step: int = -1, measures
     Returns
     -------
     Dataset
-        As of `fringedic.surface_strain`; of images alone as of `fringedic.surface.flat_strain`.
+        As of `fringedic.surface_strain`; of images alone as of `fringedic.surface.flat_strain`, in the measure of the
+        dataset.
 
     Raises
     ------
@@ -84,7 +86,9 @@ def strain_of_step(dataset: xr.Dataset, window: int, *, step: int = -1, measures
         attributes = {name: dic[key] for name, key in _OF_A_DISPLACEMENT.items() if key in dic}
         names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
         displacement = one[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)
-    strain = flat_strain(displacement, window=window, pixel_size=one.attrs.get("pixel_size"))
+    strain = flat_strain(
+        displacement, window=window, pixel_size=one.attrs.get("pixel_size"), measure=strain_measure_of(one)
+    )
     return _with_windows(strain, {f"displacement_{name}": displacement.attrs.get(name) for name in _OF_A_DISPLACEMENT})
 
 

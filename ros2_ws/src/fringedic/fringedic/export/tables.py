@@ -14,7 +14,7 @@ import tifffile
 import xarray as xr
 
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
-from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
+from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit, strain_words
 from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import ExportError
@@ -36,12 +36,16 @@ def _scalars(dataset: xr.Dataset) -> list[str]:
 
 
 def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
-    """Write a table of points per step, one of the steps, and the metadata as JSON; the units are in the headings."""
+    """Write a table of points per step, one of the steps, and the metadata as JSON.
+
+    Units, and of the strain of images its measure, are in the headings.
+    """
     folder.mkdir(parents=True)
     skipped = []
     names = map_names(dataset)
     units = {name: people_unit(dataset[name]) for name in names}
-    heading = ",".join(["row [px]", "column [px]", *(f"{name} [{units[name].text}]" for name in names)])
+    titles = [f"{name} [{units[name].text}] {strain_words(dataset, name)}".rstrip() for name in names]
+    heading = ",".join(["row [px]", "column [px]", *titles])
     rows, columns = np.meshgrid(dataset["row"].values, dataset["column"].values, indexing="ij")
     for number in dataset["step"].values:
         step = dataset.sel(step=number)

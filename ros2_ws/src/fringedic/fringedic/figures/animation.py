@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
-from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.quantities import people_unit, strain_words
 from fringedic.errors import DatasetError
 from fringedic.figures.maps import map_figure, redraw_map
 from fringedic.figures.panels import Panel
@@ -109,7 +109,9 @@ class _Frames:
         canvas = FigureCanvasAgg(self.figure)
         for step in self.steps:
             if step != self.steps[0]:
-                redraw_map(self.figure, self.dataset.sel(step=step), self.panel, title=_title(step, self.panel))
+                redraw_map(
+                    self.figure, self.dataset.sel(step=step), self.panel, title=_title(self.dataset, step, self.panel)
+                )
             from PIL import Image
 
             canvas.draw()  # type: ignore[no-untyped-call]
@@ -132,9 +134,10 @@ def _frames(dataset: xr.Dataset, panel: Panel) -> _Frames:
     ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / factor for step in steps]
     low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
     limits = (low, high) if high > low else (low - 0.5, low + 0.5)
-    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
+    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(dataset, steps[0], panel))
     return _Frames(dataset, panel, steps, figure)
 
 
-def _title(step: int, panel: Panel) -> str:
-    return f"step {step}: {panel.title}"
+def _title(dataset: xr.Dataset, step: int, panel: Panel) -> str:
+    words = strain_words(dataset, panel.name)
+    return f"step {step}: {panel.title}{words and f', {words}'}"

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
-from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.quantities import people_unit, strain_measure_of
 from fringedic.datasets.signals import signal_names
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import with_principal_strains
@@ -20,6 +20,7 @@ from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
 from fringedic.signals import FORCE, POSITION
+from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.arguments import check_arguments, path
 from fringedic.wording.arguments import dataset as dataset_of
 from fringedic.wording.causes import cause_of
@@ -122,7 +123,8 @@ def save_pictures(
                 )
         title = ", ".join(words)
         for name, panels in pictures_of(measured).items():
-            save(f"step_{number:03d}{name and f'_{name}'}.png", measured, panels, title)
+            words = [title] if name != "strain" else [title, f"{TENSORS[strain_measure_of(measured)].title} strain"]
+            save(f"step_{number:03d}{name and f'_{name}'}.png", measured, panels, ", ".join(words))
         if truth is not None and "w" in measured and np.isfinite(measured["w"]).any():
             errors = truth_errors(dataset, truth, number)
             save(f"step_{number:03d}_errors.png", errors, ERRORS, f"{title}: measured minus true")

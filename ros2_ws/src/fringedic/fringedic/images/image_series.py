@@ -28,7 +28,8 @@ from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.surface.flat import flat_strain
 from fringedic.surface.planes import WIDEST_WINDOW
-from fringedic.wording.arguments import array, check_arguments, number, optional, path, several, whole
+from fringedic.surface.strain_measures import GREEN_LAGRANGE, TENSORS, strain_attributes
+from fringedic.wording.arguments import array, check_arguments, number, one_of, optional, path, several, whole
 
 STRAIN_WINDOW = 41  # [px], by default
 _ALL = "images"  # name of the experiment for the tracker
@@ -38,6 +39,7 @@ class StrainParameters(Parameters):
     """Parameters of the strain of flat specimens."""
 
     strain_window_px: int = Field(description="Width of the window of the strain [px].")
+    strain_measure: str = Field(GREEN_LAGRANGE, description="Measure of the strain.")
     virtual_strain_gauge_px: float | None = Field(None, description="Length that a value is measured over [px].")
 
 
@@ -96,6 +98,7 @@ class ImageSeries:
     window=whole(8, 256),
     spacing=whole(1, 256),
     strain_window=whole(high=WIDEST_WINDOW),
+    strain_measure=one_of(*TENSORS),
     pixel_size=optional(number(1e-12)),
     mask=optional(array(2)),
 )
@@ -106,6 +109,7 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
     window: int = 32,
     spacing: int = 4,
     strain_window: int = STRAIN_WINDOW,
+    strain_measure: str = GREEN_LAGRANGE,
     pixel_size: float | None = None,
     mask: np.ndarray | None = None,
     metadata: Metadata | None = None,
@@ -129,6 +133,8 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
         As of `fringedic.measure_displacement` [px].
     strain_window
         Width of the window of the strain [px].
+    strain_measure
+        ``"green-lagrange"``, ``"logarithmic"`` or ``"engineering"``, see `fringedic.surface.flat_strain`.
     pixel_size
         Size of a pixel on the specimen [m]; None keeps lengths in pixels.
     mask
@@ -174,13 +180,20 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
             f"spacing is {spacing} px, and the images have {reference.shape[1]}x{reference.shape[0]} px: give at most "
             f"{min(reference.shape) // 3}"
         )
-    measuring = _Measuring(window, spacing, strain_window, pixel_size, mask)
+    measuring = _Measuring(
+        window,
+        spacing,
+        StrainParameters(strain_window_px=strain_window, strain_measure=strain_measure),
+        pixel_size,
+        mask,
+    )
     series, started = ImageSeries(target), monotonic()
     attributes: dict[str, object] = {"experiment": target.stem, "image_height": reference.shape[0]}
     attributes["image_width"] = reference.shape[1]
+    attributes |= strain_attributes(strain_measure)
     if pixel_size is not None:
         attributes["pixel_size"] = pixel_size
-    with DatasetWriter(target, attributes, layout_of_images(pixel_size is not None)) as writer:
+    with DatasetWriter(target, attributes, layout_of_images(pixel_size is not None, strain_measure)) as writer:
         try:
             for step, file in enumerate(files):
                 row, image = measuring.measure(step, file)
@@ -202,11 +215,11 @@ class _Measuring:
     """Measures image after image."""
 
     def __init__(
-        self, window: int, spacing: int, strain_window: int, pixel_size: float | None, mask: np.ndarray | None
+        self, window: int, spacing: int, strain: StrainParameters, pixel_size: float | None, mask: np.ndarray | None
     ) -> None:
         # masks are NaN in the reference, and the fraction is one of the mask's points: a small region is no failure
         self._parameters = DicParameters(window=window, spacing=spacing, minimum_valid_fraction=0.0, kept_steps=1)
-        self._strain = StrainParameters(strain_window_px=strain_window)
+        self._strain = strain
         self._tracker = DisplacementTracker(self._parameters)
         self._checks = ClosureChecks()
         self._scale, self._mask = pixel_size, None if mask is None else mask.astype(bool)
@@ -261,7 +274,7 @@ class _Measuring:
             maps = row.maps
             row.maps |= {"u": scale * maps["displacement_x"], "v": -scale * maps["displacement_y"]}
             row.maps |= {f"sigma_{name}": scale * maps[f"displacement_sigma_{axis}"] for name, axis in ("ux", "vy")}
-        strain = flat_strain(field, window=self._strain.strain_window_px)
+        strain = flat_strain(field, window=self._strain.strain_window_px, measure=self._strain.strain_measure)
         row.maps |= {str(name): values.values for name, values in strain.items()}
         gauge = strain.attrs["virtual_strain_gauge_px"]
         self._strain = self._strain.model_copy(update={"virtual_strain_gauge_px": gauge})

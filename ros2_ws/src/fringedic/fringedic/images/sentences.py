@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.quantities import people_unit, strain_measure_of
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.frames.name_order import order_by_name
 from fringedic.images.image_series import ImageSeries
+from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.numbers import number_text
 
 _DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
@@ -47,7 +48,11 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
     length = f"{gauge:g} px"
     if "pixel_size" in dataset.attrs:
         length += f" ({number_text(1e3 * gauge * float(dataset.attrs['pixel_size']))} mm)"
-    yield f"strain of {name}: {_medians(last, _STRAINS)}; virtual strain gauge {length}"
+    measure = TENSORS[strain_measure_of(dataset)]
+    yield (
+        f"strain of {name}: {_medians(last, _STRAINS)}; {measure.title} ({measure.definition}), e_xy is the tensor "
+        f"shear; virtual strain gauge {length}"
+    )
     first = series.images[0].name
     summed = [image for image in series.images if image.increment_from]
     if not summed:

@@ -27,6 +27,7 @@ from fringedic.models.rigid_motion import RIGID_MOTION, RigidMotion, fit_rigid_m
 from fringedic.models.sampling import facing, sample
 from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
 from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
+from fringedic.surface.strain_measures import GREEN_LAGRANGE, strain_attributes
 from fringedic.wording.arguments import (
     array,
     check_arguments,
@@ -44,7 +45,10 @@ _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
 _DISPLACEMENT_ITERATIONS = 4
 _FITTED_POINTS = 100_000  # of the fit by displacement
 _THREADS = 2  # each needs the memory of one set of maps
-KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
+KEPT = (
+    *("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size"),
+    *strain_attributes(GREEN_LAGRANGE),
+)
 
 
 class _Fields(NamedTuple):

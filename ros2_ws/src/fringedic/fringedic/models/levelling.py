@@ -19,9 +19,11 @@ import numpy as np
 import xarray as xr
 
 from fringedic.correlation.transfer import NARROWER, ORDER, window_deviation
+from fringedic.datasets.quantities import strain_measure_of
 from fringedic.errors import ModelError
 from fringedic.surface.planes import spacing_of
-from fringedic.surface.strain import surface_strain
+from fringedic.surface.strain import compute_strain
+from fringedic.surface.strain_measures import GREEN_LAGRANGE
 
 _ITERATIONS = 12  # reach the fixed point; test_waves_keep_the_share_of_the_fixed_point
 
@@ -40,6 +42,8 @@ class Levelling:
         Of the strain [px]; 0 without strain.
     spacing
         Distance of the points [px].
+    strain_measure
+        Of the strain that follows from the displacement, of `fringedic.surface.strain_measures.TENSORS`.
     """
 
     window: int
@@ -47,6 +51,7 @@ class Levelling:
     z_filter: float
     strain_window: int
     spacing: int
+    strain_measure: str = GREEN_LAGRANGE
 
     def displacement(self, maps: np.ndarray) -> np.ndarray:
         """Return maps of u, v, w (3, row, column) as they would be measured; NaN stays NaN."""
@@ -97,7 +102,7 @@ class Levelling:
             {name: (("row", "column"), values) for name, values in fields.items()},
             {name: grid[name] for name in ("row", "column")},
         )
-        found = surface_strain(cloud, window=self.strain_window)
+        found = compute_strain(cloud, self.strain_window, (), tensor=self.strain_measure)
         return np.stack([found[name].values for name in ("e_11", "e_22", "e_12")])
 
 
@@ -120,6 +125,7 @@ def levelling_of(experiment: xr.Dataset) -> Levelling:
         z_filter=float(coupling.get("z_filter_px", 0.0)),
         strain_window=int(strain.get("strain_window_px", coupling.get("strain_window_px", 0))),
         spacing=int(spacing_of(experiment["column"].values)),
+        strain_measure=strain_measure_of(experiment),
     )
 
 

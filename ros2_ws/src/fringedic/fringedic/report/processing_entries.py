@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from fringedic.datasets.quantities import strain_measure_of
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
+from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.numbers import number_text
 
 _CORRELATION = {
@@ -51,13 +53,15 @@ def analysis_entries(data: ReportData) -> list[Entry]:
         points = 2 * round((width - 1) / 2 / spacing) + 1
         covered = (points - 1) * spacing
         gauge = covered + window
+        measure = TENSORS[strain_measure_of(data.dataset)]
         strain = [
             Entry("strain window", f"{points} points ({covered} px){data.length(covered)}"),
             Entry("virtual strain gauge", f"{gauge} px{data.length(gauge)}", "(L_window - 1) L_step + L_subset"),
             Entry(
                 "strain formulation",
-                f"Green-Lagrange in the {'image' if data.images_alone else 'tangent plane of the surface'}, from "
-                "least-squares planes",
+                f"{measure.title} ({measure.definition}) in the "
+                f"{'image' if data.images_alone else 'tangent plane of the surface'}, from least-squares planes; "
+                f"{'e_xy' if data.images_alone else 'e_12'} is the tensor shear, half the engineering shear",
             ),
             Entry("strain post-filter", "none"),
         ]

@@ -7,24 +7,12 @@ import xarray as xr
 
 from fringedic.errors import SurfaceError
 from fringedic.surface.planes import WIDEST_WINDOW
-from fringedic.surface.strain import surface_strain
-from fringedic.wording.arguments import check_arguments, dataset, number, optional, whole
+from fringedic.surface.strain import compute_strain
+from fringedic.surface.strain_measures import GREEN_LAGRANGE, TENSORS, flat_fields, strain_attributes
+from fringedic.wording.arguments import check_arguments, dataset, number, one_of, optional, whole
 
 _FAR = 1e6  # distance of the camera [px]: its lines of sight are parallel, as the evaluation of a flat specimen assumes
-_NAMES = {
-    "e_11": ("e_xx", "strain along x (right)"),
-    "e_22": ("e_yy", "strain along y (up)"),
-    "e_12": ("e_xy", "tensor shear strain of x (right) and y (up)"),
-    "e_1": ("e_1", "larger principal strain"),
-    "e_2": ("e_2", "smaller principal strain"),
-    "e_von_mises": ("e_von_mises", "equivalent strain (von Mises)"),
-    "sigma_e_11": ("sigma_e_xx", "standard deviation of e_xx"),
-    "sigma_e_22": ("sigma_e_yy", "standard deviation of e_yy"),
-    "sigma_e_12": ("sigma_e_xy", "standard deviation of e_xy"),
-    "resolution_e_11": ("resolution_e_xx", "expected error of e_xx by the smoothing of its window"),
-    "resolution_e_22": ("resolution_e_yy", "expected error of e_yy by the smoothing of its window"),
-    "resolution_e_12": ("resolution_e_xy", "expected error of e_xy by the smoothing of its window"),
-}
+_AXES = {"11": "xx", "22": "yy", "12": "xy"}
 
 
 @check_arguments(
@@ -32,12 +20,16 @@ _NAMES = {
     displacement=dataset("displacement_x", "displacement_y", "sigma_x", "sigma_y"),
     window=whole(high=WIDEST_WINDOW),
     pixel_size=optional(number(1e-12)),
+    measure=one_of(*TENSORS),
 )
-def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | None = None) -> xr.Dataset:
-    """Return the Green-Lagrange strain of a flat specimen that the camera sees perpendicularly.
+def flat_strain(
+    displacement: xr.Dataset, *, window: int, pixel_size: float | None = None, measure: str = GREEN_LAGRANGE
+) -> xr.Dataset:
+    """Return the strain of a flat specimen that the camera sees perpendicularly.
 
-    It is that of `surface_strain` for a flat surface and parallel lines of sight. A motion towards the camera magnifies
-    the image and appears as a strain of the same size in all directions; only the shape distinguishes them.
+    It is computed from that of `surface_strain` for a flat surface and parallel lines of sight. A motion towards the
+    camera magnifies the image and appears as a strain of the same size in all directions; only the shape distinguishes
+    them.
 
     Parameters
     ----------
@@ -47,15 +39,20 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
         Width of the window of the slopes [px].
     pixel_size
         Size of a pixel on the specimen [m], for the length of the virtual strain gauge in mm; the strain needs none.
+    measure
+        With the deformation gradient F = R U: ``"green-lagrange"``, (F^T F - 1)/2; ``"logarithmic"``, ln U (Hencky
+        1928); or ``"engineering"``, U - 1 (Biot 1939), whose principal values are changes of length over length. None
+        of them contains the rotation R. Standard deviations are propagated to first order.
 
     Returns
     -------
     Dataset
-        Over (row, column): ``e_xx`` (x to the right), ``e_yy`` (y upwards), ``e_xy`` (tensor shear), principal strains
-        ``e_1`` >= ``e_2``, ``e_von_mises``, the standard deviations ``sigma_e_xx``, ``sigma_e_yy``, ``sigma_e_xy`` and
-        the expected errors by smoothing ``resolution_e_xx``, ``resolution_e_yy``, ``resolution_e_xy``, all [1]. The
-        attribute ``virtual_strain_gauge_px`` is the length that a value is measured over, ``virtual_strain_gauge_mm``
-        the same with a known scale.
+        Over (row, column): ``e_xx`` (x to the right), ``e_yy`` (y upwards), ``e_xy`` (in every measure the tensor
+        shear, half the engineering shear), principal strains ``e_1`` >= ``e_2``, ``e_von_mises``, the standard
+        deviations ``sigma_e_xx``, ``sigma_e_yy``, ``sigma_e_xy`` and the expected errors by smoothing
+        ``resolution_e_xx``, ``resolution_e_yy``, ``resolution_e_xy``, all [1]. The attributes ``strain_measure`` and
+        ``shear_strain`` name measure and kind of shear, ``virtual_strain_gauge_px`` is the length that a value is
+        measured over, ``virtual_strain_gauge_mm`` the same with a known scale.
 
     Raises
     ------
@@ -83,7 +80,7 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
     fields |= {"displacement_sigma_x": sigma_x, "displacement_sigma_y": sigma_y}
     fields |= {"noise_z": zero, "noise_z_deformed": zero}
     attributes = displacement.attrs
-    strain = surface_strain(
+    strain = compute_strain(
         xr.Dataset(
             {name: (("row", "column"), values) for name, values in fields.items()},
             {name: displacement[name] for name in ("row", "column")},
@@ -94,14 +91,22 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
                 "camera_distance": _FAR,
             },
         ),
-        window=window,
-        measures=["von_mises"],
+        window,
+        ["von_mises"],
+        tensor=measure,
     )
-    found = strain[[name for name in _NAMES if name in strain]].rename({old: new for old, (new, _) in _NAMES.items()})
-    for new, meaning in _NAMES.values():
-        found[new].attrs["long_name"] = meaning
+    strain = strain.rename({str(name): _name_in_image(str(name)) for name in strain})
+    meanings = flat_fields(measure)
+    found = strain[list(meanings)]
+    for name, meaning in meanings.items():
+        found[name].attrs["long_name"] = meaning
     gauge = float(strain.attrs["virtual_strain_gauge_px"])
-    found.attrs = {"window_px": window, "virtual_strain_gauge_px": gauge}
+    found.attrs = {"window_px": window, **strain_attributes(measure), "virtual_strain_gauge_px": gauge}
     if pixel_size is not None:
         found.attrs["virtual_strain_gauge_mm"] = 1e3 * pixel_size * gauge
     return found
+
+
+def _name_in_image(name: str) -> str:
+    first, _, last = name.rpartition("_")
+    return f"{first}_{_AXES.get(last, last)}"

@@ -23,7 +23,7 @@ from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
 from fringedic.surface.resolution import estimate_resolution, smoothing_gain
-from fringedic.surface.strain_measures import MEASURES, SurfaceStrain, require_measures
+from fringedic.surface.strain_measures import GREEN_LAGRANGE, MEASURES, TENSORS, SurfaceStrain, require_measures
 from fringedic.wording.arguments import check_arguments, dataset, number, several, text, whole
 
 _ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
@@ -127,6 +127,17 @@ def surface_strain(
     >>> round(float(strain.e_11.mean()), 6), round(float(strain.elongation_1.mean()), 6)
     (0.01005, 0.01)
     """
+    return compute_strain(displacement_3d, window, measures, slope_noise)
+
+
+def compute_strain(
+    displacement_3d: xr.Dataset,
+    window: int,
+    measures: Iterable[str],
+    slope_noise: float = 1.0,
+    tensor: str = GREEN_LAGRANGE,
+) -> xr.Dataset:
+    """Return what `surface_strain` returns, with the strain in one of `TENSORS`."""
     measures = require_measures(measures)
     attributes = displacement_3d.attrs
     known_errors = "displacement_window_px" in attributes and all(name in displacement_3d for name in _ERRORS)
@@ -144,16 +155,23 @@ def surface_strain(
         step,
         strain,
     )
+    found, converted = SurfaceStrain(*strain), tensor != GREEN_LAGRANGE
+    if known_errors:
+        sigmas = _compute_sigmas(displacement_3d, planes, slope_noise, covariances=converted)
+        if converted:
+            sigmas = TENSORS[tensor].convert_sigmas(found, np.concatenate([sigmas[:3] ** 2, sigmas[3:]]))
+    if converted:
+        found = TENSORS[tensor].convert(found)
+        strain = np.stack([getattr(found, name) for name in _STRAIN])
     fields = dict(zip(_STRAIN, strain, strict=True))
     units = dict(_STRAIN)
     if known_errors:
-        sigmas = _compute_sigmas(displacement_3d, planes, slope_noise)
         fields |= zip(_SIGMAS, sigmas, strict=True)
         gain = smoothing_gain(*_displacement_filter(displacement_3d), planes.half, _whole_spacing(planes), step)
         fields |= zip(_RESOLUTIONS, estimate_resolution(strain[:3], sigmas, planes.half, step, gain), strict=True)
         units |= {**_SIGMAS, **_RESOLUTIONS}
     for measure in (MEASURES[name] for name in measures):
-        fields |= zip(measure.fields, measure.compute(SurfaceStrain(*strain)), strict=True)
+        fields |= zip(measure.fields, measure.compute(found), strict=True)
         units |= measure.fields
     length = max(planes.width_px) + float(displacement_3d.attrs.get("displacement_window_px", 1))
     steps = (
@@ -185,14 +203,17 @@ def _displacement_filter(cloud: xr.Dataset) -> tuple[int, str]:
     return int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
 
 
-def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np.ndarray:
-    """Return the standard deviations (3, row, column) of e_11, e_22, e_12."""
+def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float, covariances: bool) -> np.ndarray:
+    """Return the standard deviations (3, row, column) of e_11, e_22, e_12.
+
+    Their covariances, if wanted, follow: of e_11 and e_22, e_11 and e_12, e_22 and e_12 (6, row, column).
+    """
     spacing = _whole_spacing(planes)
     z_filter = float(cloud.attrs["z_filter_px"])
     in_plane = slope_noise * displacement_gains(*_displacement_filter(cloud), planes.half, spacing)
     gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
     h0 = float(cloud.attrs["camera_distance"])
-    sigmas = np.empty((len(_SIGMAS), *planes.slopes.shape[2:]), planes.slopes.dtype)
+    sigmas = np.empty((6 if covariances else 3, *planes.slopes.shape[2:]), planes.slopes.dtype)
     few = {name: slice(None, None, max(1, cloud.sizes[name] // 50)) for name in ("row", "column")}
     some = cloud[["x", "y", "z"]].isel(few)
     row, column = (each.astype(float) for each in np.meshgrid(some.row, some.column, indexing="ij"))
@@ -318,7 +339,7 @@ def _propagate(
     gains: np.ndarray,
     sigmas: np.ndarray,
 ) -> None:
-    """Compute the standard deviations of e_11, e_22, e_12.
+    """Compute the standard deviations of e_11, e_22, e_12, and in arrays of six maps their covariances.
 
     An independent error n of a source moves the point before by b n and the point after by c n. To first order, and
     with the fitted slopes over x, y that carry the same error, the strain of the metric changes by
@@ -346,6 +367,7 @@ def _propagate(
             normal_z = a_xx * a_yy - a_xy * a_yx
             facing = normal_x * after_x + normal_y * after_y + normal_z
             variance_11, variance_22, variance_12 = 0.0, 0.0, 0.0
+            covariance_11_22, covariance_11_12, covariance_22_12 = 0.0, 0.0, 0.0
             for source in range(4):
                 if source == 0:
                     m_x = -(ray_x + z_x + 2.0 * (e_xx * ray_x + e_xy * ray_y))
@@ -367,6 +389,11 @@ def _propagate(
                 variance_11 += m_1 * m_1 * n_11
                 variance_22 += m_2 * m_2 * n_22
                 variance_12 += 0.25 * (m_1 * m_1 * n_22 + 2.0 * m_1 * m_2 * n_12 + m_2 * m_2 * n_11)
+                covariance_11_22 += m_1 * m_2 * n_12
+                covariance_11_12 += 0.5 * m_1 * (m_1 * n_12 + m_2 * n_11)
+                covariance_22_12 += 0.5 * m_2 * (m_1 * n_22 + m_2 * n_12)
             sigmas[0, i, j] = math.sqrt(variance_11)
             sigmas[1, i, j] = math.sqrt(variance_22)
             sigmas[2, i, j] = math.sqrt(variance_12)
+            if len(sigmas) > 3:
+                sigmas[3, i, j], sigmas[4, i, j], sigmas[5, i, j] = covariance_11_22, covariance_11_12, covariance_22_12

@@ -1,4 +1,8 @@
-"""Measures that follow from the Green-Lagrange strain of a surface; a new one is one more entry of `MEASURES`."""
+"""Measures that follow from the Green-Lagrange strain of a surface; a new one is one more entry of `MEASURES`.
+
+`TENSORS` are the measures that the strain of a flat specimen is given in. With the deformation gradient F = R U they
+are functions of U alone, so that a rotation R of any size gives zero.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,101 @@ class SurfaceStrain:
     e_1: np.ndarray
     e_2: np.ndarray
     direction: np.ndarray
+
+
+@dataclass(frozen=True)
+class StrainTensor:
+    """A measure of strain with the principal directions of the Green-Lagrange strain.
+
+    Attributes
+    ----------
+    title, definition
+        Its name in sentences, and its formula with the deformation gradient F = R U.
+    chord
+        Returns (f(a) - f(b)) / (a - b) of principal Green-Lagrange strains a and b, with f(0) = 0 the principal value
+        of this measure; its limit, the derivative of f, for a = b.
+    """
+
+    title: str
+    definition: str
+    chord: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def convert(self, strain: SurfaceStrain) -> SurfaceStrain:
+        """Return this measure of a Green-Lagrange strain."""
+        zero = np.zeros_like(strain.e_1)
+        one, two = (each * self.chord(each, zero) for each in (strain.e_1, strain.e_2))
+        middle, half = (one + two) / 2, (one - two) / 2
+        cosine, sine = np.cos(2 * strain.direction), np.sin(2 * strain.direction)
+        return SurfaceStrain(middle + half * cosine, middle - half * cosine, half * sine, one, two, strain.direction)
+
+    def convert_sigmas(self, strain: SurfaceStrain, covariance: np.ndarray) -> np.ndarray:
+        """Return the standard deviations (3, row, column) of the components 11, 22, 12 of this measure.
+
+        Parameters
+        ----------
+        strain
+            Green-Lagrange.
+        covariance : (6, row, column)
+            Of its components: 11 11, 22 22, 12 12, 11 22, 11 12, 22 12.
+
+        Notes
+        -----
+        The derivative of a tensor function is the one of its principal values along the principal directions, and the
+        chord between them for the shear (Daleckii, Krein 1965).
+        """
+        c, s = np.cos(strain.direction), np.sin(strain.direction)
+        cc, ss, cs = c * c, s * s, c * s
+        to_principal = np.stack([cc, ss, 2 * cs, ss, cc, -2 * cs, -cs, cs, cc - ss]).reshape(3, 3, *c.shape)
+        from_principal = np.stack([cc, ss, -2 * cs, ss, cc, 2 * cs, cs, -cs, cc - ss]).reshape(3, 3, *c.shape)
+        one, two = strain.e_1, strain.e_2
+        slopes = np.stack([self.chord(one, one), self.chord(two, two), self.chord(one, two)])
+        jacobian = np.einsum("ik...,k...,kj...->ij...", from_principal, slopes, to_principal)
+        order = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+        return np.asarray(np.sqrt(np.einsum("ik...,kl...,il...->i...", jacobian, covariance[order], jacobian)))
+
+
+def _logarithmic_chord(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    change = 2 * (a - b) / (1 + 2 * b)
+    ratio = np.divide(np.log1p(change), change, out=np.ones_like(change), where=change != 0)
+    return np.asarray(ratio / (1 + 2 * b))
+
+
+STRAIN_MEASURE = "strain_measure"  # attribute of a dataset; Green-Lagrange where it is missing
+GREEN_LAGRANGE = "green-lagrange"
+TENSORS = {
+    GREEN_LAGRANGE: StrainTensor("Green-Lagrange", "(F^T F - 1)/2", lambda a, b: np.ones_like(a - b)),
+    "logarithmic": StrainTensor("logarithmic", "ln U, Hencky", _logarithmic_chord),
+    "engineering": StrainTensor(
+        "engineering", "U - 1, Biot", lambda a, b: 2 / (np.sqrt(1 + 2 * a) + np.sqrt(1 + 2 * b))
+    ),
+}
+
+
+def strain_attributes(measure: str) -> dict[str, str]:
+    """Return the attributes of a dataset that name measure and kind of shear of the strain of a flat specimen."""
+    return {STRAIN_MEASURE: measure, "shear_strain": "tensor, half the engineering shear"}
+
+
+def flat_fields(measure: str) -> dict[str, str]:
+    """Return the fields of the strain of a flat specimen in one of `TENSORS`, and their descriptions.
+
+    Examples
+    --------
+    >>> flat_fields("logarithmic")["e_xy"]
+    'logarithmic strain (ln U, Hencky), tensor shear of x (right) and y (up)'
+    """
+    strain = f"{TENSORS[measure].title} strain ({TENSORS[measure].definition})"
+    components = ("e_xx", "e_yy", "e_xy")
+    return {
+        "e_xx": f"{strain} along x (right)",
+        "e_yy": f"{strain} along y (up)",
+        "e_xy": f"{strain}, tensor shear of x (right) and y (up)",
+        "e_1": f"{strain}, larger principal value",
+        "e_2": f"{strain}, smaller principal value",
+        "e_von_mises": f"equivalent strain (von Mises) of the {strain}",
+        **{f"sigma_{name}": f"standard deviation of {name}" for name in components},
+        **{f"resolution_{name}": f"expected error of {name} by the smoothing of its window" for name in components},
+    }
 
 
 @dataclass(frozen=True)
@@ -66,10 +165,8 @@ def _area_change(strain: SurfaceStrain) -> list[np.ndarray]:
 
 def _hencky(strain: SurfaceStrain) -> list[np.ndarray]:
     """Logarithm of the stretches (Hencky 1928), in the principal directions and in t1, t2."""
-    h_1, h_2 = 0.5 * np.log1p(2 * strain.e_1), 0.5 * np.log1p(2 * strain.e_2)
-    middle, half = (h_1 + h_2) / 2, (h_1 - h_2) / 2
-    cosine, sine = np.cos(2 * strain.direction), np.sin(2 * strain.direction)
-    return [middle + half * cosine, middle - half * cosine, half * sine, h_1, h_2]
+    found = TENSORS["logarithmic"].convert(strain)
+    return [found.e_11, found.e_22, found.e_12, found.e_1, found.e_2]
 
 
 def _engineering(strain: SurfaceStrain) -> list[np.ndarray]:

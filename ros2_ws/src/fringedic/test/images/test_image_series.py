@@ -6,13 +6,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import pyvista
+import scipy.io
 import xarray as xr
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import fringedic
 from fringedic.errors import CorrelationError, DatasetError, ErrorCode, ImageError
+from fringedic.export import export_dataset
 from fringedic.images import measure_images
-from fringedic.images.sentences import order_sentences
+from fringedic.images.sentences import order_sentences, series_sentences
+from fringedic.report import write_report
 from fringedic.surface import flat_strain
 
 SIZE = (150, 200)
@@ -106,6 +110,58 @@ def test_extensometer_and_rigid_motion_need_no_shape(dataset):
     wider = dataset.fringedic.strain(61)
     assert wider.attrs["virtual_strain_gauge_px"] == 32 + 64, "17 points every 4 px"
     assert float(wider.sigma_e_xx.median()) < float(dataset.sigma_e_xx.sel(step=3).median())
+
+
+@pytest.mark.parametrize(
+    ("measure", "along", "title"),
+    [
+        ("green-lagrange", lambda e: e + e**2 / 2, "Green-Lagrange strain ((F^T F - 1)/2)"),
+        ("logarithmic", np.log1p, "logarithmic strain (ln U, Hencky)"),
+        ("engineering", lambda e: e, "engineering strain (U - 1, Biot)"),
+    ],
+)
+def test_every_file_names_the_measure_of_the_strain(folder, tmp_path, measure, along, title):
+    files = [folder / "load_1.tif", folder / "load_10.tif"]
+    series = measure_images(files, tmp_path / "a.nc", pixel_size=PIXEL, strain_measure=measure)
+    with fringedic.open_experiment(series.dataset) as dataset:
+        last = inner(dataset.sel(step=1))
+        for name, value in (("e_xx", 3 * STRAIN), ("e_yy", 3 * CONTRACTION)):
+            assert float(last[name].median()) == pytest.approx(along(value), abs=20e-6), name
+        assert (dataset.attrs["strain_measure"], dataset.attrs["shear_strain"][:6]) == (measure, "tensor")
+        assert dataset.e_xx.long_name == f"{title} along x (right)"
+        assert dataset.e_xy.long_name == f"{title}, tensor shear of x (right) and y (up)"
+        again = dataset.fringedic.strain(41)
+        np.testing.assert_allclose(again.e_xx, dataset.e_xx.sel(step=1), rtol=2e-6, atol=1e-12)
+        np.testing.assert_allclose(again.sigma_e_xy, dataset.sigma_e_xy.sel(step=1), rtol=2e-6, atol=1e-12)
+        assert again.attrs["strain_measure"] == measure
+        [sentence] = [each for each in series_sentences(series, dataset) if each.startswith("strain of")]
+        short = title.replace(" strain", "")
+        assert f"{short}, e_xy is the tensor shear" in sentence
+        done = {each.format: each for each in export_dataset(dataset, tmp_path, ["csv", "vtk", "mat", "tiff"])}
+    heading = (done["csv"].path / "step_001.csv").read_text("utf-8-sig").splitlines()[0].split(",")
+    word = title.split(" ")[0]
+    assert {f"e_xx [µstrain] {word}", f"e_xy [µstrain] {word} tensor shear", "sigma_e_xy [µstrain]"} <= set(heading)
+    origins = [
+        (done["csv"].path / "metadata.json").read_text("utf-8"),
+        str(scipy.io.loadmat(done["mat"].path)["metadata"]),
+        next(done["tiff"].path.glob("step_001_e_xy*.tif")).read_bytes().decode("latin-1"),
+        str(pyvista.read(next(done["vtk"].path.glob("*_001.vtp"))).field_data["metadata"][0]),
+    ]
+    for origin in origins:
+        assert f'"strain_measure": "{measure}"' in origin.replace("&quot;", '"')
+        assert '"shear_strain": "tensor' in origin.replace("&quot;", '"')
+
+
+def test_the_report_names_the_measure_of_the_strain(folder, tmp_path):
+    files = [folder / "load_1.tif", folder / "load_10.tif"]
+    measure_images(files, tmp_path / "a.nc", strain_measure="engineering")
+    page = write_report(tmp_path / "a.nc", tmp_path / "a.html").read_text("utf-8")
+    assert "engineering (U - 1, Biot) in the image, from least-squares planes; e_xy is the tensor shear" in page
+
+
+def test_an_unknown_measure_of_a_dataset_is_one_sentence(dataset):
+    with pytest.raises(DatasetError, match="'strain_measure' of the dataset is 'small': write one of green-lagrange"):
+        dataset.assign_attrs(strain_measure="small").fringedic.strain(41)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [({"pixel_size": PIXEL}, "m"), ({}, "px")])
@@ -222,6 +278,11 @@ def test_changing_surface_is_followed_by_increments(tmp_path):
         ({"pixel_size": 0.0}, DatasetError, "pixel_size is 0.0"),
         ({"mask": np.ones((3, 3), bool)}, ImageError, "the mask has 3x3 px, the images have 200x150 px"),
         ({"output": "a.txt"}, DatasetError, "is named .nc"),
+        (
+            {"strain_measure": "small"},
+            DatasetError,
+            "strain_measure is 'small': it has to be one of green-lagrange, logarithmic, engineering",
+        ),
     ],
 )
 def test_wrong_options_are_one_sentence(folder, tmp_path, monkeypatch, options, error, words):

@@ -237,6 +237,20 @@ def test_an_exact_model_with_a_linear_displacement_has_no_error_at_the_border():
         assert float(np.abs(found[f"difference_{name}"]).max()) < 1e-6, name
 
 
+def test_the_strain_of_a_model_has_the_measure_of_the_dataset():
+    data, model = linear_plate(noise=0.0)
+    gradient = (np.eye(3) + SLOPES)[:, :2]
+    values, axes = np.linalg.eigh(gradient.T @ gradient)
+    logarithmic = axes @ np.diag(np.log(values) / 2) @ axes.T
+    for name, other, at in (("e_xx", "e_11", (0, 0)), ("e_yy", "e_22", (1, 1)), ("e_xy", "e_12", (0, 1))):
+        data = data.rename({other: name, f"sigma_{other}": f"sigma_{name}"})
+        data[name] = data[name].where(data.step == 0, logarithmic[at])
+    found = compare_model(data.assign_attrs(strain_measure="logarithmic"), model)
+    for name in ("e_xx", "e_yy", "e_xy"):
+        assert float(np.abs(found.sel(step=1)[f"difference_{name}"]).max()) < 1e-6, name
+    assert found.attrs["strain_measure"] == "logarithmic"
+
+
 def test_an_exact_model_is_within_2_sigma_at_the_border_as_elsewhere():
     found = compare_model(*linear_plate(noise=1.0)).sel(step=1)
     band = np.ones(X.shape, bool)
