@@ -1,0 +1,103 @@
+"""The random scenes of benchmarks/anybodys_images.py: images and displacements are exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[5] / "benchmarks"
+# plain, two with a part, an occluder, a crack across the image, a crack with a tip
+SCENES = (5, 1, 6, 8, 11, 56)
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+
+
+def test_a_pixel_is_the_mean_of_the_spots_over_its_area():
+    """Every spot is summed at 16 x 16 points of each pixel, after the map was written down by hand."""
+    from image_scenes.layers import Layer, View
+    from image_scenes.motions import Affine, Sequence, Wave
+    from image_scenes.textures import Spots
+
+    spots = Spots.speckle(4.0, (-20, 50, -20, 50), np.random.default_rng(1))
+    gradient = np.array([[1.1, 0.5], [-0.4, 0.9]])
+    motion = Sequence((Affine(gradient, (12.0, 10.0), (2.3, -1.4)), Wave((0.8, -0.5), (0.05, 0.1), 0.3)))
+    places = np.arange(20 * 16) / 16 + 1 / 32 - 0.5
+    y, x = (each[..., None] for each in np.meshgrid(places, places, indexing="ij"))
+    wave = np.sin(0.05 * x + 0.1 * y + 0.3)
+    offset = x - 0.8 * wave - 2.3 - 12, y + 0.5 * wave + 1.4 - 10
+    back = np.linalg.inv(gradient)
+    at_x, at_y = (back[k, 0] * offset[0] + back[k, 1] * offset[1] + (12, 10)[k] for k in range(2))
+    ink = np.zeros(at_x.shape[:2])
+    for spot_x, spot_y, square, density in spots.spots:
+        distance = ((at_x - spot_x) ** 2 + (at_y - spot_y) ** 2)[..., 0] / square
+        ink += density * np.clip(1 - distance, 0, None) ** 3
+    exact = np.exp(-ink).reshape(20, 16, 20, 16).mean(axis=(1, 3))
+    for samples, tolerance in ((2, 0.005), (3, 0.001)):
+        image = View((20, 20), (Layer(spots, motion),), samples).image(moved=True)
+        assert np.abs(image - exact).max() < tolerance
+    assert exact.std() > 0.1
+
+
+def test_a_translation_by_whole_pixels_shifts_the_image():
+    from image_scenes.layers import Layer, View
+    from image_scenes.motions import Affine
+    from image_scenes.textures import Skin
+
+    skin = Skin(12.0, (-30, 90, -30, 90), np.random.default_rng(2))
+    view = View((48, 56), (Layer(skin, Affine(np.eye(2), (27.5, 23.5), (7.0, -5.0))),))
+    reference, deformed = (view.image(moved=moved) for moved in (False, True))
+    assert np.abs(deformed[:-5, 7:] - reference[5:, :-7]).max() < 1e-9
+    truth = view.truth()
+    assert (truth.x == 7).all()
+    assert (truth.y == -5).all()
+    assert truth.visible.sum() == (48 - 5) * (56 - 7)
+    assert truth.visible[5:, :-7].all()
+
+
+@pytest.mark.parametrize("number", SCENES)
+def test_the_material_is_where_the_truth_places_it(number: int):
+    """The displacement maps forward, the images are rendered by inverse maps; both find the same brightness."""
+    from image_scenes.scenes import Scene
+
+    view = Scene.random(number).view
+    truth = view.truth(8)
+    y, x = np.mgrid[: view.shape[0] : 8, : view.shape[1] : 8].astype(float)
+    to_x, to_y = x + truth.x, y + truth.y
+    whole = truth.visible.copy()  # without pixels on the edges of a surface, which are mixtures
+    for layer in view.layers:
+        for covered in (layer.cover(x, y), layer.cover(*layer.motion.inverse(to_x, to_y))):
+            whole &= (covered == 0) | (covered == 1)
+    before = view.brightness(x[whole], y[whole], moved=False)
+    after = view.brightness(to_x[whole], to_y[whole], moved=True)
+    assert whole.sum() > 0.3 * whole.size
+    assert before.std() > 0.01
+    assert np.abs(after - before).max() < 1e-6
+
+
+@pytest.mark.parametrize("number", SCENES)
+def test_a_scene_is_made_again_from_its_number(number: int):
+    from image_scenes.scenes import Scene
+
+    first, second = Scene.random(number), Scene.random(number)
+    assert first.words == second.words
+    assert (first.view.truth(16).x == second.view.truth(16).x).all()
+    window = np.mgrid[100:120, 200:240].astype(float)
+    assert (first.view.brightness(*window, moved=True) == second.view.brightness(*window, moved=True)).all()
+
+
+def test_a_lattice_repeats_with_its_periods():
+    from image_scenes.scenes import Scene
+
+    found = [scene for scene in map(Scene.random, range(60)) if scene.lattice is not None]
+    assert {scene.texture for scene in found} == {"grid", "weave", "dots"}
+    y, x = np.mgrid[100:140, 100:140] + 0.3
+    for scene in found:
+        texture = scene.view.layers[-1 if scene.kind != "crack" else 0].texture
+        for period in scene.lattice:
+            assert np.abs(texture.at(x + period[0], y + period[1]) - texture.at(x, y)).max() < 1e-9
+            assert np.abs(texture.at(x + 0.4 * period[0], y + 0.4 * period[1]) - texture.at(x, y)).max() > 0.01
