@@ -88,12 +88,15 @@ class Truth:
         The material is in the deformed image and nothing covers it.
     layer
         Number of the layer that is seen in the reference.
+    mixed
+        The pixel of the reference lies on the edge of a surface: it shows two materials.
     """
 
     x: np.ndarray
     y: np.ndarray
     visible: np.ndarray
     layer: np.ndarray
+    mixed: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -142,17 +145,14 @@ class View:
                 total += vertical * horizontal * self.brightness(column + dx, row + dy, moved=moved)
         return total
 
-    def front(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the number of the layer that is seen at points of the reference."""
-        number = np.full(x.shape, len(self.layers) - 1)
-        for k in range(len(self.layers) - 2, -1, -1):
-            number[self.layers[k].cover(x, y) > 0.5] = k
-        return number
-
     def truth(self, spacing: int = 1) -> Truth:
         """Return the motion of the points (row, column) of a grid in the reference."""
         y, x = np.mgrid[: self.shape[0] : spacing, : self.shape[1] : spacing].astype(float)
-        front = self.front(x, y)
+        seen, shares = np.ones(x.shape), []
+        for layer in self.layers:
+            shares.append(seen * layer.cover(x, y))
+            seen = seen - shares[-1]
+        front, mixed = np.argmax(shares, axis=0), np.max(shares, axis=0) < 1
         dx, dy, visible = np.full(x.shape, np.nan), np.full(x.shape, np.nan), np.zeros(x.shape, bool)
         for k, layer in enumerate(self.layers):
             own = front == k
@@ -164,4 +164,4 @@ class View:
             for other in self.layers[:k]:
                 inside &= other.cover(*other.motion.inverse(to_x, to_y)) < 0.5
             visible[own] = inside
-        return Truth(dx, dy, visible, front)
+        return Truth(dx, dy, visible, front, mixed)

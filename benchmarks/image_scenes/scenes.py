@@ -26,6 +26,7 @@ KINDS = {"plain": 0.49, "part moved": 0.17, "occluder": 0.17, "crack": 0.17}
 PERIODIC = ("grid", "weave", "dots")
 SMALL, LARGE = (480, 640), (960, 1280)
 OVERLAP = 0.35  # smallest share of the reference that remains in the image
+FINE = 4.0  # [px] is the diameter of spots below which a pixel needs more samples
 MARGIN = 40.0  # [px] around what is seen of a surface
 
 
@@ -96,6 +97,8 @@ class Scene:
         Its figures in words.
     view
         Surfaces and camera.
+    surface
+        Texture of the specimen; an occluder has another one.
     exposure
         Light, noise and compression.
     lattice
@@ -107,6 +110,7 @@ class Scene:
     kind: str
     words: str
     view: View
+    surface: Texture
     exposure: Exposure
     lattice: np.ndarray | None
 
@@ -162,6 +166,7 @@ class _Draw:
         self.shape: Shape = LARGE if random.random() < 0.1 else SMALL
         self.centre = (self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2
         self.words: list[str] = []
+        self.samples = 2
         self.lattice: np.ndarray | None = None
 
     def scene(self) -> Scene:
@@ -174,9 +179,9 @@ class _Draw:
         layers = tuple(
             replace(each, texture=surface, later=later) if each.texture is _TO_COME else each for each in layers
         )
-        samples = 3 if self.texture in ("too fine", "speckle") else 2
-        view, exposure = View(self.shape, layers, samples), self._exposure()
-        return Scene(self.number, self.texture, self.kind, ", ".join(self.words), view, exposure, self.lattice)
+        view, exposure = View(self.shape, layers, self.samples), self._exposure()
+        words = ", ".join(self.words)
+        return Scene(self.number, self.texture, self.kind, words, view, surface, exposure, self.lattice)
 
     def _layers(self) -> tuple[Layer, ...]:
         if self.texture == "moved out":
@@ -348,6 +353,7 @@ class _Draw:
         sizes = {"too fine": (0.4, 0.6), "too coarse": (150, 250), "speckle": (2, 25)}
         low, high = sizes.get(self.texture, (3, 10))
         diameter = float(np.exp(random.uniform(math.log(low), math.log(high))))
+        self.samples = 3 if diameter < FINE else 2
         self.words.append(f"speckle of {diameter:.1f} px")
         return Spots.speckle(diameter, box, random)
 
@@ -355,9 +361,9 @@ class _Draw:
         random = self.random
         noise = random.uniform(0.3, 4)
         contrast = float(np.exp(random.uniform(math.log(max(30, 15 * noise)), math.log(170))))
-        if self.texture == "too faint":
+        if self.texture in ("too faint", "too fine"):
             noise = random.uniform(3, 5)
-            contrast = random.uniform(0.5, 1.5)
+            contrast = random.uniform(0.5, 1.5) if self.texture == "too faint" else random.uniform(3, 8)
         elif self.texture == "too coarse":
             contrast = random.uniform(30, 60)
         dark, gain = random.uniform(15, 50), random.uniform(0.8, 1.15)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
+
+import fringedic.correlation.closure  # noqa: F401 (its first import changes the environment: not inside of a test)
 
 BENCHMARKS = Path(__file__).resolve().parents[5] / "benchmarks"
 # plain, two with a part, an occluder, a crack across the image, a crack with a tip
@@ -97,7 +101,57 @@ def test_a_lattice_repeats_with_its_periods():
     assert {scene.texture for scene in found} == {"grid", "weave", "dots"}
     y, x = np.mgrid[100:140, 100:140] + 0.3
     for scene in found:
-        texture = scene.view.layers[-1 if scene.kind != "crack" else 0].texture
+        texture = scene.surface
         for period in scene.lattice:
             assert np.abs(texture.at(x + period[0], y + period[1]) - texture.at(x, y)).max() < 1e-9
             assert np.abs(texture.at(x + 0.4 * period[0], y + 0.4 * period[1]) - texture.at(x, y)).max() > 0.01
+
+
+@pytest.fixture
+def lattice_scene():
+    """Return a scene whose surface is a perfect lattice, and its true displacement as a result."""
+    from image_scenes.outcomes import SPACING
+    from image_scenes.scenes import Scene
+
+    scene = next(each for each in map(Scene.random, range(60)) if each.lattice is not None and each.kind == "plain")
+    truth = scene.view.truth(SPACING)
+    size = truth.x.shape
+    parts = {
+        "displacement_x": truth.x,
+        "displacement_y": truth.y,
+        "valid": np.ones(size, bool),
+    }
+    positions = {"row": SPACING * np.arange(size[0]), "column": SPACING * np.arange(size[1])}
+    return scene, xr.Dataset({name: (("row", "column"), part) for name, part in parts.items()}, positions)
+
+
+def test_a_displacement_by_whole_periods_is_right_if_the_result_states_them(lattice_scene):
+    from image_scenes.outcomes import SPACING, repeated_truth
+
+    scene, field = lattice_scene
+    truth = scene.view.truth(SPACING)
+    y, x = np.meshgrid(field.row.values.astype(float), field.column.values.astype(float), indexing="ij")
+    period = scene.lattice[0] - 2 * scene.lattice[1]
+    there = scene.view.layers[0].motion.forward(x + period[0], y + period[1])
+    field["displacement_x"].values[:], field["displacement_y"].values[:] = there[0] - x, there[1] - y
+    assert repeated_truth(scene, truth, field) is truth
+    for stated, right in ((scene.lattice, True), (scene.lattice[::-1], True), (0.6 * scene.lattice, False)):
+        found = repeated_truth(scene, truth, field.assign_attrs(repeats_px=stated.ravel().tolist()))
+        assert (np.abs(found.x - field.displacement_x.values).max() < 1e-6) == right
+
+
+def test_outcomes_follow_from_the_shares_of_the_points():
+    from image_scenes.outcomes import judge_refusal, judge_result
+
+    scene, stripes = (SimpleNamespace(hopeless=name == "stripes", texture=name) for name in ("speckle", "stripes"))
+    assert judge_result(scene, 0.9, 0.95, 0.9995) == "right"
+    assert judge_result(scene, 0.5, 0.5, 1.0) == "lost"
+    assert judge_result(scene, 0.9, 0.95, 0.99) == "partially wrong"
+    assert judge_result(scene, 0.9, 0.95, 0.2) == "wrong"
+    assert judge_result(stripes, 0.001, 0.0, 0.0) == "refused"
+    assert judge_result(stripes, 0.5, 1.0, 0.1) == "wrong"
+    everywhere, nowhere = np.ones((4, 4), bool), np.zeros((4, 4), bool)
+    assert judge_refusal(scene, everywhere, "the texture has one direction") == "lost"
+    assert judge_refusal(scene, nowhere, "the texture is too faint") == "refused"
+    assert judge_refusal(stripes, everywhere, "the texture has one direction") == "refused"
+    assert judge_refusal(stripes, everywhere, "the images do not correlate") == "other reason"
