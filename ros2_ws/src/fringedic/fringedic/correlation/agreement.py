@@ -20,10 +20,12 @@ NOISE_GAIN = tabulate_noise_gain()
 # to agree; test_another_scene_is_refused_by_every_window and test_patch_that_changed.
 SMALLEST_EXPLAINED = 0.25
 SMALLEST_AGREEMENT = 0.1
-# Share of a window with texture, and share of agreeing pixels next to a point, of a valid point;
-# test_a_bare_patch_is_not_measured and test_a_still_surface_beside_the_specimen.
+# Share of a window with texture, share of agreeing pixels next to a point, and share of the gradient energy of its
+# window that these pixels have, of a valid point; test_a_bare_patch_is_not_measured,
+# test_a_still_surface_beside_the_specimen and test_blocks_of_dark_jpeg_images_are_no_texture.
 SMALLEST_COVERAGE = 1 / 2
 SMALLEST_SHARE = 1 / 3
+SMALLEST_ENERGY_SHARE = 1 / 3
 # Part of the difference between the displacement (without its plane) and its mean over a one-sided window that remains
 # as an error; twice this part where hardly more than half of the window is covered (benchmarks/edges.py).
 TRUNCATED = 0.95  # covered part of a window below which it is one-sided
@@ -49,6 +51,22 @@ class Nodes:
     valid: np.ndarray
 
 
+@dataclass(frozen=True)
+class Texture:
+    """Texture of a reference at the nodes.
+
+    Attributes
+    ----------
+    energy : (node row, node column) float32
+        Sum of (df/dx)^2 + (df/dy)^2 over each cell.
+    rich : (node row, node column) bool
+        Cells with a tenth of the gradient energy of the richest parts: a match is expected there.
+    """
+
+    energy: np.ndarray
+    rich: np.ndarray
+
+
 def adjust_determination(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
     """Return r^2 of a fit, adjusted for its parameters (two of motion, two of brightness).
 
@@ -65,26 +83,14 @@ def adjust_determination(correlation: np.ndarray, speckles: np.ndarray) -> np.nd
     return np.asarray(1 - (1 - np.clip(correlation, 0, 1) ** 2) * freedom / np.maximum(freedom - 4, freedom / 10))
 
 
-def find_textured_cells(level: Level, cell: int) -> np.ndarray:
-    """Return which cells of a reference have a tenth of the gradient energy of its richest parts: a match is expected.
-
-    Parameters
-    ----------
-    level
-        The finest of the reference.
-    cell
-        Side of the cells [px].
-
-    Returns
-    -------
-    ndarray
-        bool (node row, node column).
-    """
+def measure_texture(level: Level, cell: int) -> Texture:
+    """Measure the gradient energy of a reference, and where it is rich enough for a match."""
     cells = np.empty((cell_kernels.GYY + 1, *count_nodes(level.shape, cell)), f4)
     cell_kernels.accumulate_gradients(level.along_x, level.along_y, cell, cells)
-    energy = np.empty(cells.shape[1:], f4)
-    node_kernels.average_gradient_energy(cells, energy)
-    return np.asarray(energy > 0.1 * np.quantile(energy, 0.95))
+    average = np.empty(cells.shape[1:], f4)
+    node_kernels.average_gradient_energy(cells, average)
+    energy = cells[cell_kernels.GXX] + cells[cell_kernels.GYY]
+    return Texture(energy, average > 0.1 * np.quantile(average, 0.95))
 
 
 def check_agreement(agreed: int, offered: int) -> None:
@@ -103,7 +109,7 @@ def check_agreement(agreed: int, offered: int) -> None:
         )
 
 
-def assess(field: Field, window: Window, offered: int) -> Nodes:
+def assess(field: Field, window: Window, texture: Texture) -> Nodes:
     """Estimate the uncertainty of a finished field and decide where it is valid.
 
     The covariance of a point is s^2 H^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with the
@@ -111,7 +117,9 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     out, times the ratio of `_compare_with_white_noise`; uneven textures (few speckles per window) and one-sided windows
     (`_estimate_truncation`) add to it. A point is valid where at least half of its window is seen and has texture
     beyond that of noise alone, where a third of its neighbourhood agrees (a window that extends over a border also
-    contains the motion of the other side), and where f and g correlate.
+    contains the motion of the other side) and has a third of its gradient energy, and where f and g correlate. Without
+    the limit of the energy, the dark surroundings of bright spots agree in compressed images of different scenes,
+    because their blocks resemble one another; the spots are outliers there.
 
     Parameters
     ----------
@@ -119,8 +127,8 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
         From `estimate_nodes`.
     window
         It was measured with.
-    offered
-        Number of nodes that could have been measured.
+    texture
+        Of the reference.
 
     Raises
     ------
@@ -150,13 +158,26 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     node_kernels.measure_agreement(sums, wide, area, share, smallest)
     valid = (covered[0] >= f4(cell2 * SMALLEST_COVERAGE)) & (own > f4(SMALLEST_SHARE))
     valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
-    check_agreement(int(np.count_nonzero(valid)), offered)
+    valid &= _measure_energy_share(cells, texture, window) > SMALLEST_ENERGY_SHARE
+    check_agreement(int(np.count_nonzero(valid & texture.rich)), int(np.count_nonzero(texture.rich)))
     noise = f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(tau_factor), valid)))
     sigma = np.hypot(noise * sigma, _estimate_truncation(field.nodes[:2], rich[0], covered[0], window))
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])
     sigma = field.frame.turn_sigma(np.where(valid, sigma, usual))
     return Nodes(field.frame.total(field.nodes[:2], 0, window.cell), sigma, valid)
+
+
+def _measure_energy_share(cells: np.ndarray, texture: Texture, window: Window) -> np.ndarray:
+    """Return the share of the gradient energy in each window that its agreeing pixels have (node row, node column).
+
+    Pixels that are not seen in the deformed image, or saturated there, count as those of their cell that are seen.
+    """
+    seen = cells[cell_kernels.SEEN] * f4(1 / window.cell**2)
+    energies = np.stack([cells[cell_kernels.GXX] + cells[cell_kernels.GYY], texture.energy * seen])
+    sums = np.empty_like(energies)
+    node_kernels.apply_window(energies, window.taps, sums)
+    return np.asarray(sums[0] / np.maximum(sums[1], f4(1e-12)))
 
 
 def _estimate_truncation(displacement: np.ndarray, rich: np.ndarray, covered: np.ndarray, window: Window) -> np.ndarray:

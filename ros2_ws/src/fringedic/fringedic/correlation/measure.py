@@ -71,7 +71,7 @@ class Reference:
         values = self.normalise(array)
         if measured is not None:
             values[~measured] = np.nan
-        self.prepared = Prepared.of(values, self.window)
+        self.prepared = Prepared.of(values, self.window, self.deviation)
         self.rows = np.arange(0, self.shape[0], self.spacing)
         self.columns = np.arange(0, self.shape[1], self.spacing)
 

@@ -37,7 +37,7 @@ def find_unmatched(reference: Prepared, nodes: Nodes) -> np.ndarray:
     margin = reference.width / 2
     height, width = reference.values.shape
     inside = (x > margin) & (x < width - margin) & (y > margin) & (y < height - margin)
-    return np.asarray(reference.textured & ~nodes.valid & inside)
+    return np.asarray(reference.texture.rich & ~nodes.valid & inside)
 
 
 def keep_wide(reference: Prepared, nodes: np.ndarray, part: float = 1.0) -> np.ndarray:

@@ -109,7 +109,7 @@ def _measure_motions(
     else:
         points = _evaluate(leave_out_rims(reference, nodes, unmatched), reference, spacing)
     unmatched = keep_wide(reference, unmatched)
-    part = float(np.count_nonzero(unmatched) / np.count_nonzero(reference.textured))
+    part = float(np.count_nonzero(unmatched) / np.count_nonzero(reference.texture.rich))
     return replace(points, attributes=attributes | {"motions": len(motions), "unmatched_fraction": part})
 
 

@@ -8,7 +8,8 @@ from typing import Self
 import cv2
 import numpy as np
 
-from fringedic.correlation.agreement import Nodes, assess, find_textured_cells
+from fringedic.correlation.agreement import Nodes, Texture, assess, measure_texture
+from fringedic.correlation.blocks import leave_out_block_edges
 from fringedic.correlation.dense import estimate_nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, find_lattice, keep_resolved
@@ -39,6 +40,11 @@ def texture_over_noise(level: Level) -> float:
     return float(np.median(cv2.blur(energy, (_AROUND, _AROUND))[known])) / max(DERIVATIVE_NOISE * noise**2, 1e-30)
 
 
+def _prepare_levels(images: list[np.ndarray], deviation: float) -> list[Level]:
+    levels = [prepare_level(image) for image in images]
+    return [leave_out_block_edges(levels[0], deviation), *levels[1:]]
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A reference with what every measurement against it needs.
@@ -55,8 +61,10 @@ class Prepared:
         Its pyramid, finest first; of a periodic texture the levels that show it.
     levels
         They with their gradients.
-    textured : (node row, node column) bool
-        Where a match is expected.
+    texture
+        Of the finest level, at its nodes.
+    deviation
+        Standard deviation of the image [grey level].
     binning
         Side [px] of the blocks whose mean is a pixel of the finest level.
     """
@@ -66,7 +74,8 @@ class Prepared:
     lattice: Lattice | None
     images: list[np.ndarray]
     levels: list[Level]
-    textured: np.ndarray
+    texture: Texture
+    deviation: float
     binning: int = 1
 
     @property
@@ -80,21 +89,25 @@ class Prepared:
         return self.window.width * self.binning
 
     @classmethod
-    def of(cls, values: np.ndarray, width: int) -> Self:
-        """Prepare the grey levels of a reference for a window of a width [px]."""
+    def of(cls, values: np.ndarray, width: int, deviation: float) -> Self:
+        """Prepare the grey levels of a reference for a window of a width [px].
+
+        `deviation` is the standard deviation of the image [grey level], the unit of the values.
+        """
         images, window = build_pyramid(values), design_window(width)
         lattice = find_lattice(images)
         images = keep_resolved(images, lattice)
-        levels = [prepare_level(level) for level in images]
-        return cls(values, window, lattice, images, levels, find_textured_cells(levels[0], window.cell))
+        levels = _prepare_levels(images, deviation)
+        return cls(values, window, lattice, images, levels, measure_texture(levels[0], window.cell), deviation)
 
     def without(self, pixels: np.ndarray) -> Self:
         """Return the reference without some pixels, (row, column) bool."""
         values = np.where(pixels, f4(np.nan), self.values)
         images = self._own_levels(build_pyramid(values))
-        levels = [prepare_level(level) for level in images]
-        textured = find_textured_cells(levels[0], self.window.cell) & self.textured
-        return replace(self, values=values, images=images, levels=levels, textured=textured)
+        levels = _prepare_levels(images, self.deviation)
+        texture = measure_texture(levels[0], self.window.cell)
+        texture = replace(texture, rich=texture.rich & self.texture.rich)
+        return replace(self, values=values, images=images, levels=levels, texture=texture)
 
     def binned(self) -> Self | None:
         """Return the reference with blocks of pixels averaged so that a faint texture stands out from the noise.
@@ -107,9 +120,9 @@ class Prepared:
             if min(level.shape) < 2 * self.window.width:
                 return None
             if k and texture_over_noise(level) > CLEAR:
-                textured = find_textured_cells(level, self.window.cell)
+                texture = measure_texture(level, self.window.cell)
                 images, levels = self.images[k:], self.levels[k:]
-                return replace(self, images=images, levels=levels, textured=textured, binning=self.binning * 2**k)
+                return replace(self, images=images, levels=levels, texture=texture, binning=self.binning * 2**k)
         return None
 
     def _own_levels(self, pyramid: list[np.ndarray]) -> list[np.ndarray]:
@@ -142,7 +155,7 @@ class Prepared:
         if prediction is not None:
             prediction = prediction / f4(self.binning)
         estimated = estimate_nodes(self.levels, self.images, pyramid, self.window.width, prediction, photometry)
-        nodes = assess(estimated, self.window, int(np.count_nonzero(self.textured)))
+        nodes = assess(estimated, self.window, self.texture)
         return Nodes(f4(self.binning) * nodes.displacement, f4(self.binning) * nodes.sigma, nodes.valid)
 
     def at_pixels(self, nodes: np.ndarray) -> np.ndarray:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from fringedic.correlation import measure_displacement
 from fringedic.correlation.images import find_saturation
@@ -215,6 +217,43 @@ def test_a_narrow_strip_is_measured(pair):
 def test_another_scene_is_refused_by_every_window(pair, other, window):
     with pytest.raises(CorrelationError, check=lambda e: e.code is ErrorCode.NO_CORRELATION):
         measure_displacement(pair[0], other, window=window)
+
+
+def underexposed(seed, spots, contrast, width, noise_seed, moved=lambda x, y: (x, y)):
+    """Few grey levels with rare bright spots, the exponential of a normal texture; `moved` leads back to its points."""
+    size = (480, 640)
+    texture = gaussian_filter(np.random.default_rng(seed).normal(size=(size[0] + 40, size[1] + 40)), width)
+    row, column = np.mgrid[: size[0], : size[1]] + 20.0
+    x, y = moved(column, row)
+    grey = spots * np.exp(contrast * map_coordinates(texture / texture.std(), [y, x], order=3))
+    noisy = grey + np.random.default_rng(noise_seed).normal(0, 0.4, size)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def compressed(image, quality):
+    return cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.mark.parametrize(
+    ("look", "quality"), [((0.3, 1.6, 1.7), 30), ((0.25, 1.5, 2.5), 40), ((0.6, 1.0, 2.5), 30), ((0.6, 1.0, 2.5), 40)]
+)
+def test_blocks_of_dark_jpeg_images_are_no_texture(look, quality):
+    """Blocks of different scenes agree with one another, and dark surroundings without the spots."""
+    images = (compressed(underexposed(seed, *look, noise_seed=seed), quality) for seed in (430, 1430))
+    with pytest.raises(CorrelationError, check=lambda e: e.code is ErrorCode.NO_CORRELATION):
+        measure_displacement(*images, spacing=4)
+
+
+def test_a_dark_jpeg_image_that_moved_is_measured():
+    look = (0.3, 1.6, 1.7)
+    first = compressed(underexposed(5, *look, noise_seed=1), 90)
+    second = compressed(underexposed(5, *look, noise_seed=2, moved=lambda x, y: (x - 1.7, y - 0.4)), 90)
+    field = measure_displacement(first, second, spacing=4)
+    for name, exact in (("displacement_x", 1.7), ("displacement_y", 0.4)):
+        error = field[name] - exact
+        assert abs(float(error.median())) < 0.05
+        assert float((abs(error) > 5 * field["sigma" + name[-2:]]).sum() / field.valid.sum()) < 0.01
+    assert field.valid.mean() > 0.4
 
 
 few = settings(

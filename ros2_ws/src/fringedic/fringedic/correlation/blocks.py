@@ -1,0 +1,48 @@
+"""Compression blocks (JPEG) of 8 x 8 pixels whose edges are as strong as a faint texture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fringedic.correlation.pyramid import Level
+
+BLOCK = 8  # [px]
+# [grey level], standard deviation: the quantisation of the mean of a block at quality 50 (JPEG, table K.1)
+FAINT = 16.0
+# Mean absolute step across the edges of blocks over that within them, along both axes: 1 without compression and up to
+# 2.5 in faint images of quality 90, where the texture is measured; test_blocks_of_dark_jpeg_images_are_no_texture
+STRONG = 3.0
+
+
+def leave_out_block_edges(level: Level, deviation: float) -> Level:
+    """Return a level without the gradient across the edges of its compression blocks, if these are its texture.
+
+    The edges are at the same pixels in all images, so that they agree without displacement, whatever the images show.
+    Without a gradient they have no influence on the displacement.
+
+    Parameters
+    ----------
+    level
+        The full image.
+    deviation
+        Standard deviation of its grey levels.
+    """
+    if not deviation < FAINT or min(level.shape) < 4 * BLOCK or not min(_edge_ratios(level.values)) > STRONG:
+        return level
+    along_x, along_y = level.along_x.copy(), level.along_y.copy()
+    for edge in (BLOCK - 1, 0):
+        along_x[:, edge::BLOCK] = 0
+        along_y[edge::BLOCK] = 0
+    return replace(level, along_x=along_x, along_y=along_y)
+
+
+def _edge_ratios(values: np.ndarray) -> tuple[float, float]:
+    """Return the mean absolute step across the edges of blocks over that within them, along x and along y."""
+    ratios = []
+    for image in (values[::3], values.T[::3]):
+        steps = np.nanmean(np.abs(np.diff(image[:, 3:-3], axis=1)), axis=0)  # from column k + 3 to k + 4
+        across = np.arange(steps.size) % BLOCK == BLOCK - 4
+        ratios.append(float(np.nanmean(steps[across])) / max(float(np.nanmean(steps[~across])), 1e-12))
+    return ratios[0], ratios[1]
