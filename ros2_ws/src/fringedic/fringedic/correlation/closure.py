@@ -16,7 +16,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import xarray as xr
-from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.ndimage import binary_dilation, distance_transform_edt, map_coordinates
 
 from fringedic.correlation.transfer import noise_transfer, window_deviation
 from fringedic.errors import CorrelationError
@@ -24,12 +24,18 @@ from fringedic.wording.arguments import array, check_arguments, of_type
 
 f4 = np.float32
 
+REFUTED = 5.0  # standard deviations; normal errors exceed them at one point in a million
+_DOUBTFUL = 3.0  # standard deviations, of points beside one that is refuted
+# Variance of the residual, as a multiple of the usual one and as a part of the local contrast, where a window contains
+# something else than the surface, and the multiple for a point beside; test_points_beside_an_occluder_are_refuted
+_FOREIGN, _FOREIGN_PART, _UNUSUAL = 4.0, 0.02, 2.0
 _AREA = 0.25  # the closure is evaluated in a window of this part of that of the measurement
 _FLAT = 2.0  # the local mean and contrast are those of a window so many times as wide as w
 _LEAST = 0.5  # at least this part of a window has to be covered
 _NOISE_RANGE = 2.0  # a variance beyond this multiple of the usual one is a fault, not noise
 _MEDIAN = 0.6745  # of the absolute values of a normal distribution
 _LARGEST_SCALE = 1.25  # 1.15 on leather; a larger one is a fault
+_ROUNDING = f4(1e-6)  # smallest variance of the residual, of a contrast of 1: that of rounding; equal images have none
 _TINY = f4(1e-12)
 
 
@@ -48,7 +54,9 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
     -------
     Dataset
         ``closure_x`` (right) and ``closure_y`` (down), float32 at the points of `field`: what is left of the
-        displacement [standard deviations of the closure]; NaN where it cannot be checked.
+        displacement [standard deviations of the closure]; NaN where it cannot be checked. ``residual``, float32: local
+        variance of what the displacement leaves of the difference, in units of that of the texture; its attribute
+        ``usual`` is the median over all pixels.
 
     Raises
     ------
@@ -79,7 +87,8 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
     moved, known = _move_back(deformed, field, spacing, np.isfinite(reference))
     if not known.any():
         empty = field.displacement_x.copy(data=np.full(field.displacement_x.shape, np.nan, f4))
-        return xr.Dataset({"closure_x": empty, "closure_y": empty})
+        residual = empty.copy().assign_attrs(usual=float("nan"))
+        return xr.Dataset({"closure_x": empty, "closure_y": empty, "residual": residual})
     fixed, moved = (_flatten(image, known, _FLAT * deviation) for image in (reference, moved))
     # The measured displacement contains the part T of the noise, see `transfer`, so that 1 - T remains in the closure.
     method = str(field.attrs["method"])
@@ -94,7 +103,9 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
         [-_smooth(_antisymmetric(fixed, each, axis), deviation) for each in gradients] for axis in (1, 0)
     )
     noise = _smooth((moved - fixed) ** 2, deviation) / np.maximum(covered, _TINY)
-    noise = np.minimum(noise, f4(_NOISE_RANGE) * np.median(noise[known]))
+    usual = np.median(noise[known])
+    residual = np.where(known, noise, f4(np.nan))[::spacing, ::spacing]
+    noise = np.maximum(np.minimum(noise, f4(_NOISE_RANGE) * usual), _ROUNDING)
     # A_i is the sum of w (f(p - e_i) - f(p + e_i)) n(p); the square of the window is one of deviation s / sqrt(2).
     square = f4(1 / (4 * np.pi * deviation**2))
     # beside a border the displacement has a one-sided window; there its noise has less in common with that of A
@@ -113,10 +124,55 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
     known = np.abs(closure[np.isfinite(closure)])
     closure /= f4(float(np.clip(np.median(known) / _MEDIAN, 1, _LARGEST_SCALE)) if known.size else 1.0)
     units = {"units": "standard deviations"}
-    return xr.Dataset(
-        {f"closure_{axis}": (("row", "column"), part, units) for axis, part in zip("xy", closure, strict=True)},
-        field.coords,
-    )
+    dimensions = ("row", "column")
+    maps = {f"closure_{axis}": (dimensions, part, units) for axis, part in zip("xy", closure, strict=True)}
+    measure = {"residual": (dimensions, residual, {"units": "1", "usual": float(usual)})}
+    return xr.Dataset(maps | measure, field.coords)
+
+
+def refuted_points(closure: xr.Dataset, field: xr.Dataset) -> np.ndarray:
+    """Return the measured points that the closure refutes, as beside an object that moves in front of the surface.
+
+    The closure of such a point is beyond 5 standard deviations, and the window contains something else than the
+    surface: its residual is 4 times the usual variance and 2 % of the local one at least. Noise and strain that the
+    window smooths fulfil one of these conditions only. Points within a window of a refuted one are refuted from 3
+    standard deviations and twice the usual variance on (hysteresis threshold, Canny 1986), or if too little of their
+    window is seen for a closure.
+
+    Parameters
+    ----------
+    closure
+        Of `displacement_closure`.
+    field
+        That it belongs to.
+
+    Returns
+    -------
+    ndarray
+        bool (row, column).
+
+    References
+    ----------
+    J. Canny (1986), A computational approach to edge detection, IEEE Transactions on Pattern Analysis and Machine
+    Intelligence 8, 679-698.
+
+    Examples
+    --------
+    >>> values = {"closure_x": [0.5, 3.5, 6.0, 6.0], "closure_y": [0.1] * 4, "residual": [0.01, 0.1, 0.2, 0.01]}
+    >>> closure = xr.Dataset({name: (("row", "column"), [each]) for name, each in values.items()})
+    >>> closure.residual.attrs["usual"] = 0.01
+    >>> field = xr.Dataset({"valid": (("row", "column"), [[True] * 4])}, attrs={"window_px": 16, "spacing_px": 4})
+    >>> refuted_points(closure, field).astype(int)
+    array([[0, 1, 1, 0]])
+    """
+    largest = np.maximum(np.abs(closure.closure_x.values), np.abs(closure.closure_y.values))
+    residual, usual, measured = closure.residual.values, float(closure.residual.attrs["usual"]), field.valid.values
+    refuted = measured & (largest > REFUTED) & (residual > max(_FOREIGN * usual, _FOREIGN_PART))
+    if not refuted.any():
+        return np.asarray(refuted)
+    doubtful = measured & ((largest > _DOUBTFUL) & (residual > _UNUSUAL * usual) | np.isnan(largest))
+    reach = -(-int(field.attrs["window_px"]) // int(field.attrs["spacing_px"]))
+    return np.asarray(binary_dilation(refuted, np.ones((3, 3), np.bool_), reach, mask=doubtful))
 
 
 def _move_back(

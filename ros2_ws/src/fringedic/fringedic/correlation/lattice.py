@@ -235,9 +235,7 @@ def choose_displacement(
     )
     totals = np.nansum(products, axis=1)
     best = int(np.argmax(totals))
-    equal = [
-        index for index, each in enumerate(products) if index == best or not _exceeds(products[best] - each)
-    ]
+    equal = [index for index, each in enumerate(products) if index == best or not _exceeds(products[best] - each)]
     away = [float(np.hypot(*(moved + turned @ candidates[index]))) for index in equal]
     return Choice(candidates[equal[int(np.argmin(away))]], len(equal) == 1)
 

@@ -16,7 +16,13 @@ from fringedic.correlation.affine import fit_motion
 from fringedic.correlation.agreement import Nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, choose_displacement
-from fringedic.correlation.other_motions import find_unmatched, keep_wide, leave_out_rims, measure_other_motions, separate
+from fringedic.correlation.other_motions import (
+    find_unmatched,
+    keep_wide,
+    leave_out_rims,
+    measure_other_motions,
+    separate,
+)
 from fringedic.correlation.periodic_start import start_of_lattice
 from fringedic.correlation.prepared import Prepared
 from fringedic.correlation.pyramid import build_pyramid, sample_initial
@@ -69,7 +75,8 @@ def measure_points(
     binned = None
     try:
         points = _measure_motions(reference, deformed, photometry, start, spacing)
-        if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(np.isfinite(reference.values[::spacing, ::spacing])):
+        wanted = np.isfinite(reference.values[::spacing, ::spacing])
+        if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(wanted):
             binned = reference.binned()
     except CorrelationError as error:
         binned = reference.binned() if error.code is ErrorCode.NO_CORRELATION else None

@@ -103,11 +103,12 @@ def layout_of_images(scaled: bool, strain_measure: str = GREEN_LAGRANGE) -> Layo
         "valid_fraction": SCALARS["valid_fraction"],
         "rms_displacement": Quantity("m" if scaled else "px", "root mean square length of the displacement"),
     }
-    texts = {**TEXTS, "image": "name of the image"}
+    texts = {**TEXTS, "image": "name of the image", "remarks": "what needs attention, as a JSON list; empty if nothing"}
+    refuted = {"refuted_fraction": Quantity("1", "part of the points that were measured and that the check refuted")}
     checks = {name: CLOSURES[name] for name in ("displacement_closure_x", "displacement_closure_y")}
     strain = {name: Quantity("1", long_name) for name, long_name in flat_fields(strain_measure).items()}
     maps |= {**strain, "grey_residual": GREY_RESIDUAL, **checks}
-    return Layout(maps, {**scalars, **_CONFIRMED}, texts, timed=False)
+    return Layout(maps, {**scalars, **_CONFIRMED, **refuted}, texts, timed=False)
 
 
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}

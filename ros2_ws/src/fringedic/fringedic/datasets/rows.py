@@ -31,6 +31,8 @@ class Row:
     maps: dict[str, np.ndarray] = field(default_factory=dict)
     image: str = ""
     confirmed_fraction: float = float("nan")
+    refuted_fraction: float = float("nan")
+    remarks: str = ""
     settings: StepSettings | None = None
     signals: dict[str, SignalValue] = field(default_factory=dict)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,9 +11,11 @@ from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 from pydantic import Field
 
 from fringedic.correlation import grey_residual
+from fringedic.correlation.closure import refuted_points
 from fringedic.datasets.confirmation import confirmed_fraction
 from fringedic.datasets.quantities import layout_of_images
 from fringedic.datasets.rows import Row, displacement_maps
@@ -20,12 +23,16 @@ from fringedic.datasets.stores import dataset_path
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError, FringedicError, ImageError, reason_of
 from fringedic.frames.files import image_files, read_grey, require_size
+from fringedic.frames.mosaic import has_mosaic, smooth_mosaic
+from fringedic.images.remarks import SATURATED_SHARE, ImageRemark, saturated_share
 from fringedic.metadata import Metadata
-from fringedic.steps.closures import ClosureChecks
+from fringedic.steps.closures import ClosureChecks, closure_maps
 from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.parameters import DicParameters, Parameters
 from fringedic.steps.recorded_parameters import StepSettings
+from fringedic.steps.remarks import Remark
 from fringedic.steps.statistics import measured_part_and_rms
+from fringedic.steps.step_results import DicResult
 from fringedic.surface.flat import flat_strain
 from fringedic.surface.planes import WIDEST_WINDOW
 from fringedic.surface.strain_measures import GREEN_LAGRANGE, TENSORS, strain_attributes
@@ -56,12 +63,15 @@ class MeasuredImage(NamedTuple):
         Why it has no result; empty when it has one.
     increment_from
         Name of the image that it was compared with when that is not the reference; otherwise empty.
+    remarks
+        What needs attention although it is measured, with the codes of `fringedic.images.remarks.ImageRemark`.
     """
 
     step: int
     name: str
     error: str = ""
     increment_from: str = ""
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass
@@ -122,6 +132,10 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
     too few points agree, the latest good image becomes the new reference and the increments are summed. An image that
     cannot be measured has its reason in the variable ``error``, and the series goes on. After Ctrl-C the dataset holds
     the images that were measured.
+
+    Points that the independent check refutes, as beside a cable in front of the surface, are not valid: they are NaN,
+    the strain is computed without them, and ``refuted_fraction`` is their share. Copies of an image, saturation and the
+    colour mosaic of a sensor have a remark (``remarks``); a mosaic is smoothed in all images.
 
     Parameters
     ----------
@@ -224,6 +238,9 @@ class _Measuring:
         self._checks = ClosureChecks()
         self._scale, self._mask = pixel_size, None if mask is None else mask.astype(bool)
         self._files: dict[int, Path] = {}
+        self._has_mosaic = False
+        self._earlier: dict[int, np.ndarray] = {}  # the reference and the image before, as they were read
+        self._refuted: dict[int, np.ndarray] = {}  # of the images that later ones may be compared with
         self._reference: np.ndarray | None = None
         self._reason: FringedicError | None = None
 
@@ -243,7 +260,11 @@ class _Measuring:
         row = Row(step, image=file.name)
         texture = None
         try:
-            texture = self._read(file)
+            grey = texture = self._read(file)
+            if step == 0:
+                self._has_mosaic = has_mosaic(grey)
+            if self._has_mosaic:
+                texture = smooth_mosaic(grey)
             if step == 0 and self._mask is not None:
                 texture = np.where(self._mask, texture, np.float32(np.nan))
             result = self._tracker.step(_ALL, step, step, texture)
@@ -255,7 +276,13 @@ class _Measuring:
             )  # errors of reading name the file
             self._reason = self._reason or type(error)(row.error)
             return row, MeasuredImage(step, file.name, row.error)
-        field, scale = result.field, self._scale
+        remarks = self._examine(step, grey)
+        row.remarks = json.dumps([{"code": each.code, **each.values} for each in remarks]) if remarks else ""
+        closure = self._checks.closure(result, texture, self._parameters.kept_steps)
+        closures, refuted = closure_maps(closure), self._find_refuted(result, closure)
+        field, scale = _without(result.field, refuted), self._scale
+        if step:
+            row.refuted_fraction = float(refuted.sum() / max(1, int(result.field.valid.sum())))
         spacing = self._parameters.spacing
         fraction, length = measured_part_and_rms(field.displacement_x.values, field.displacement_y.values)
         wanted = 1.0 if self._mask is None else float(self._mask[::spacing, ::spacing].mean())
@@ -267,7 +294,6 @@ class _Measuring:
         else:
             moved = field.displacement_x.values, field.displacement_y.values
             row.maps["grey_residual"] = grey_residual(self._reference, texture, *moved, spacing)
-        closures = self._checks.displacement(result, texture, self._parameters.kept_steps)
         row.maps |= closures
         row.confirmed_fraction = confirmed_fraction(closures, spacing)
         if scale is not None:
@@ -279,7 +305,8 @@ class _Measuring:
         gauge = strain.attrs["virtual_strain_gauge_px"]
         self._strain = self._strain.model_copy(update={"virtual_strain_gauge_px": gauge})
         link = result.correlated_step
-        return row, MeasuredImage(step, file.name, increment_from=self._files[link].name if link else "")
+        earlier = self._files[link].name if link else ""
+        return row, MeasuredImage(step, file.name, increment_from=earlier, remarks=remarks)
 
     def _read(self, file: Path) -> np.ndarray:
         """Return the grey levels of an image of the reference's size."""
@@ -287,3 +314,33 @@ class _Measuring:
         if self._reference is not None:
             require_size(file, image, self._files[0], self._reference.shape)
         return image
+
+    def _examine(self, step: int, grey: np.ndarray) -> tuple[Remark, ...]:
+        """Return the remarks of an image, from its grey levels as they were read, and keep these for the next one."""
+        remarks = [Remark(ImageRemark.MOSAIC)] if step == 0 and self._has_mosaic else []
+        same = [number for number, earlier in self._earlier.items() if np.array_equal(earlier, grey)]
+        if same:
+            remarks.append(Remark(ImageRemark.DUPLICATE, {"step": min(same)}))
+        share = saturated_share(grey if self._mask is None else grey[self._mask])
+        if share >= SATURATED_SHARE:
+            remarks.append(Remark(ImageRemark.SATURATED, {"share": share}))
+        self._earlier = {0: self._earlier.get(0, grey), step: grey}
+        return tuple(remarks)
+
+    def _find_refuted(self, result: DicResult, closure: xr.Dataset | None) -> np.ndarray:
+        """Return the points that the closure refutes; of summed increments, those of the image they start from."""
+        link = self._refuted.get(result.correlated_step)
+        if closure is not None:
+            refuted = refuted_points(closure, result.field)
+        else:
+            refuted = np.zeros(result.field.valid.shape, bool) if link is None else link & result.field.valid.values
+        self._refuted = {result.step: refuted} if link is None else {result.correlated_step: link, result.step: refuted}
+        return refuted
+
+
+def _without(field: xr.Dataset, points: np.ndarray) -> xr.Dataset:
+    """Return a displacement without some of its points."""
+    if not points.any():
+        return field
+    kept = xr.DataArray(~points, dims=("row", "column"))
+    return field.drop_vars("valid").where(kept).assign(valid=field.valid & kept).assign_attrs(field.attrs)

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from fringedic.correlation.closure import REFUTED
 from fringedic.datasets.quantities import people_unit, strain_measure_of
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.frames.name_order import order_by_name
-from fringedic.images.image_series import ImageSeries
+from fringedic.images.image_series import ImageSeries, MeasuredImage
+from fringedic.images.remarks import ImageRemark
 from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.numbers import number_text
 
@@ -22,7 +24,7 @@ _FEW = 0.001  # of the points
 
 
 def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
-    """Yield points, displacement, strain and reference of a series, each with its uncertainty, and the time.
+    """Yield points, displacement, strain and reference of a series, each with its uncertainty, remarks, and the time.
 
     Parameters
     ----------
@@ -65,6 +67,15 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
     yield reference
     if verdict := confirmation_sentence(dataset):
         yield verdict
+    refuted = dataset["refuted_fraction"].values
+    if np.nansum(refuted) > 0:
+        worst = int(np.nanargmax(refuted))
+        yield (
+            f"refuted by it, and therefore not valid: {100 * float(np.nanmean(refuted)):.2f} % of the measured points "
+            f"(beyond {REFUTED:g} sigma, beside something else in the window); worst: {series.images[worst].name}, "
+            f"{100 * float(refuted[worst]):.2f} %"
+        )
+    yield from remark_sentences(series)
     yield f"time: {series.seconds:.1f} s, {series.seconds / len(series.images):.2f} s per image"
 
 
@@ -97,6 +108,31 @@ def failure_sentences(series: ImageSeries) -> Iterator[str]:
     """Yield which images have no result, and how many were left when a person stopped the measurement."""
     for image in series.failed:
         yield f"not measured: {image.error}"
+
+
+def remark_sentences(series: ImageSeries) -> Iterator[str]:
+    """Yield what needs attention in the images of a series: a colour mosaic, copies of images, saturation."""
+    by_code: dict[str, list[tuple[MeasuredImage, dict[str, float]]]] = {}
+    for image in series.images:
+        for remark in image.remarks:
+            by_code.setdefault(remark.code, []).append((image, dict(remark.values)))
+    if ImageRemark.MOSAIC in by_code:
+        yield (
+            f"colour mosaic: {series.images[0].name} contains the pixels of a colour sensor as they are (Bayer); all "
+            "images were smoothed by 1-2-1 pixels along both axes; save them as monochrome for the full resolution"
+        )
+    for image, values in by_code.get(ImageRemark.DUPLICATE, []):
+        yield (
+            f"copy: {image.name} is identical to {series.images[int(values['step'])].name}, pixel by pixel; check the "
+            "names of the files and the trigger of the camera"
+        )
+    if saturated := by_code.get(ImageRemark.SATURATED, []):
+        worst, values = max(saturated, key=lambda each: each[1]["share"])
+        yield (
+            f"saturated: {100 * values['share']:.1f} % of the pixels of {worst.name} are at the lowest or highest grey "
+            f"level ({len(saturated)} of {len(series.images)} images are saturated): change the exposure, or mask what "
+            "is not the specimen"
+        )
 
 
 def _medians(step: xr.Dataset, names: tuple[str, ...]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import xarray as xr
 
 from fringedic.correlation.closure import displacement_closure
 from fringedic.frames.collector import Stack
@@ -42,7 +43,17 @@ class ClosureChecks:
         return {} if closure is None else {"phase_closure": closure}
 
     def displacement(self, result: DicResult, texture: np.ndarray, kept_steps: int) -> dict[str, np.ndarray]:
-        """Return the closure of the displacement; none of the reference step and where increments were summed.
+        """Return the closure of the displacement as `closure` does, as maps of a dataset.
+
+        Returns
+        -------
+        dict
+            ``displacement_closure_x`` and ``displacement_closure_y`` [standard deviations], float32 (row, column).
+        """
+        return closure_maps(self.closure(result, texture, kept_steps))
+
+    def closure(self, result: DicResult, texture: np.ndarray, kept_steps: int) -> xr.Dataset | None:
+        """Return the closure of the displacement; None for the reference step and where increments were summed.
 
         Parameters
         ----------
@@ -52,15 +63,16 @@ class ClosureChecks:
             That it was measured in.
         kept_steps
             Number of the latest steps that can become the reference.
-
-        Returns
-        -------
-        dict
-            ``displacement_closure_x`` and ``displacement_closure_y`` [standard deviations], float32 (row, column).
         """
         key, reference_key = (result.experiment, result.step), (result.experiment, result.reference_step)
         self._textures.keep(key, texture, kept_steps, reference_key)
         if key == reference_key or result.correlated_step != result.reference_step:
-            return {}
-        closure = displacement_closure(self._textures[reference_key], texture, result.field)
-        return {f"displacement_{name}": part.values for name, part in closure.items()}
+            return None
+        return displacement_closure(self._textures[reference_key], texture, result.field)
+
+
+def closure_maps(closure: xr.Dataset | None) -> dict[str, np.ndarray]:
+    """Return the maps of the closure of a displacement by their names in a dataset; none without a closure."""
+    if closure is None:
+        return {}
+    return {f"displacement_closure_{axis}": closure[f"closure_{axis}"].values for axis in "xy"}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import fourier_shift, gaussian_filter
+from scipy.ndimage import fourier_shift, gaussian_filter, map_coordinates
 
 from fringedic import measure_displacement
-from fringedic.correlation.closure import displacement_closure
+from fringedic.correlation.closure import displacement_closure, refuted_points
 from fringedic.errors import CorrelationError
 
 MOVED = (0.4, 2.3)  # rows, columns
@@ -59,6 +59,40 @@ def test_a_wrong_match_is_found(measured):
     found = closures((first, second), field.assign(displacement_x=field.displacement_x + np.float32(7) * wrong))
     checked = np.isfinite(found).all(axis=0) & wrong.values
     assert np.mean((np.abs(found) > 3).any(axis=0)[checked]) > 0.99
+
+
+def test_equal_images_are_confirmed():
+    """A residual of zero is perfect: rounding is not compared with itself."""
+    texture = gaussian_filter(np.random.default_rng(3).normal(120, 200, (200, 220)), 1.6).astype(np.float32)
+    field = measure_displacement(texture, texture.copy(), window=24, spacing=4)
+    found = closures((texture, texture), field)
+    assert (np.abs(found[np.isfinite(found)]) <= 3).all()
+
+
+def test_a_right_displacement_is_not_refuted(measured):
+    first, second, field = measured
+    assert not refuted_points(displacement_closure(first, second, field), field).any()
+
+
+def test_points_beside_an_occluder_are_refuted():
+    """A dark band in front of a surface that is stretched by 1 % moves by 6 px; the displacement is exact elsewhere."""
+    size, generator = (300, 400), np.random.default_rng(7)
+    texture = 120 + 40 * gaussian_filter(generator.normal(size=(360, 460)), 1.6) * 5.7
+    row, column = np.mgrid[: size[0], : size[1]].astype(float)
+    images = []
+    for strain, band in ((0.0, 190), (0.01, 196)):
+        grey = map_coordinates(texture, [30 + row, 30 + column / (1 + strain)], order=5)
+        grey[:, band : band + 18] = 25
+        grey[:, band + 4 : band + 7] = 90
+        images.append((grey + generator.normal(0, 1.5, size)).astype(np.float32))
+    field = measure_displacement(*images, window=32, spacing=4)
+    refuted = refuted_points(displacement_closure(*images, field), field)
+    error = np.abs(np.stack([field.displacement_x - 0.01 * field.column, field.displacement_y]))
+    wrong = (error > 5 * np.stack([field.sigma_x, field.sigma_y])).any(axis=0)
+    beside = np.abs(field.column.values - 202) < 60
+    assert wrong.sum() > 50
+    assert (wrong & ~refuted).sum() < 0.2 * wrong.sum()
+    assert not refuted[:, ~beside].any()
 
 
 def test_nothing_measured_is_nothing_checked(measured):

@@ -75,9 +75,7 @@ def test_vectors_of_a_lattice(degrees, expose):
 def test_random_part_decides(speckle, expose, shift):
     """2 % of the contrast, hardly more than the noise, are enough; the result says nothing of repetitions."""
     fabric = Fabric(speckle, 0.02)
-    field = measure_displacement(
-        expose(fabric.grey(), NOISE, 1), expose(fabric.grey(shift=shift), NOISE, 2), spacing=4
-    )
+    field = measure_displacement(expose(fabric.grey(), NOISE, 1), expose(fabric.grey(shift=shift), NOISE, 2), spacing=4)
     z = scores(field, *shift)
     assert "repeats_px" not in field.attrs
     assert field.valid.mean() > 0.55

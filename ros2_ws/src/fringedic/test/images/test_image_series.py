@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 import fringedic
 from fringedic.errors import CorrelationError, DatasetError, ErrorCode, ImageError
 from fringedic.export import export_dataset
+from fringedic.frames.mosaic import has_mosaic
 from fringedic.images import measure_images
 from fringedic.images.sentences import order_sentences, series_sentences
 from fringedic.report import write_report
@@ -301,6 +302,107 @@ def test_mask_limits_the_measured_surface(folder, tmp_path):
         assert not measured.sel(row=slice(0, 36)).any()
         assert dataset.valid_fraction.values.min() > 0.8
         assert json.loads(dataset.attrs["parameters"])[-1]["parameters"]["strain"]["strain_window_px"] == 41
+
+
+def sentences_of(series):
+    with fringedic.open_experiment(series.dataset) as dataset:
+        return dataset.load(), "\n".join(series_sentences(series, dataset))
+
+
+def test_copies_of_an_image_are_named(folder, tmp_path):
+    """A copy of the reference has no displacement and is confirmed everywhere."""
+    first, second = ((folder / f"load_{name}.tif").read_bytes() for name in (1, 2))
+    for name, content in (("0", first), ("1", first), ("2", second), ("3", second)):
+        (tmp_path / f"image_{name}.tif").write_bytes(content)
+    series = measure_images([tmp_path], tmp_path / "a.nc")
+    dataset, words = sentences_of(series)
+    assert [[(each.code, each.values) for each in image.remarks] for image in series.images] == [
+        [],
+        [("duplicate", {"step": 0})],
+        [],
+        [("duplicate", {"step": 2})],
+    ]
+    assert [json.loads(text or "[]") for text in dataset.remarks.values] == [
+        [],
+        [{"code": "duplicate", "step": 0}],
+        [],
+        [{"code": "duplicate", "step": 2}],
+    ]
+    assert float(dataset.confirmed_fraction[1]) == 1.0
+    assert abs(dataset.displacement_x.sel(step=1)).max() < 1e-3
+    assert "image_1.tif is identical to image_0.tif" in words
+    assert "image_3.tif is identical to image_2.tif" in words
+
+
+def test_saturation_is_told_with_its_share(folder, tmp_path):
+    first, last = (cv2.imread(str(folder / f"load_{name}.tif"), cv2.IMREAD_UNCHANGED) for name in (1, 2))
+    overexposed = np.clip(100 + 1.2 * last.astype(float), 0, 255).astype(np.uint8)
+    share = float(np.mean((overexposed == 255) | (overexposed == overexposed.min())))
+    assert share > 0.4
+    for name, image in (("0", first), ("1", overexposed)):
+        cv2.imwrite(str(tmp_path / f"image_{name}.tif"), image)
+    series = measure_images([tmp_path], tmp_path / "a.nc")
+    _, words = sentences_of(series)
+    assert [each.code for image in series.images for each in image.remarks] == ["saturated"]
+    assert series.images[1].remarks[0].values["share"] == pytest.approx(share)
+    assert f"saturated: {100 * share:.1f} % of the pixels of image_1.tif" in words
+
+
+@pytest.mark.parametrize("gains", [((0.6, 1.0), (1.0, 0.7)), ((1.0, 0.5), (0.4, 1.0))])
+def test_a_colour_mosaic_is_detected(tmp_path, gains):
+    """The pixels of a colour sensor, green on a diagonal: without smoothing the filters are a texture that rests."""
+    noise, texture = np.random.default_rng(4), speckle()
+    for number in (0, 1):
+        grey = np.tile(gains, (SIZE[0] // 2, SIZE[1] // 2)) * stretched(texture, number, noise)
+        cv2.imwrite(str(tmp_path / f"image_{number}.tif"), np.rint(grey).astype(np.uint8))
+    series = measure_images([tmp_path], tmp_path / "a.nc")
+    dataset, words = sentences_of(series)
+    assert [each.code for each in series.images[0].remarks] == ["mosaic"]
+    assert "colour mosaic: image_0.tif" in words
+    last = inner(dataset.sel(step=1))
+    error = last.displacement_x - last.column * STRAIN
+    assert float(np.sqrt((error**2).mean())) < 0.02
+    assert 0.8 < float(np.sqrt(((error / last.displacement_sigma_x) ** 2).mean())) < 1.3
+
+
+def test_grey_images_contain_no_mosaic():
+    """Noise, textures of all widths, a ramp, printed grids of 4 and 12 px, and compression."""
+    generator = np.random.default_rng(8)
+    row, column = np.mgrid[:240, :320]
+    looks = [128 + 40 * texture / texture.std() for texture in _textures(generator)]
+    looks += [0.5 * column + 0.2 * row, *(200.0 * ((row % p < p / 3) & (column % p < p / 3)) for p in (4, 12))]
+    for look in looks:
+        grey = np.clip(look + generator.normal(0, 1, look.shape), 0, 255).astype(np.uint8)
+        assert not has_mosaic(grey)
+        assert not has_mosaic(cv2.imdecode(cv2.imencode(".jpg", grey)[1], cv2.IMREAD_GRAYSCALE))
+        assert has_mosaic(grey * np.tile([[0.8, 1.0], [1.0, 0.85]], (120, 160)))
+
+
+def _textures(generator):
+    return [gaussian_filter(generator.normal(size=(240, 320)), width) for width in (0.01, 0.5, 1.0, 2.0, 5.0)]
+
+
+def test_points_beside_an_occluder_are_not_valid(tmp_path):
+    """A dark cable in front of the stretched surface moves: beside it, points and strain are NaN."""
+    noise, texture = np.random.default_rng(4), speckle()
+    for number, cable in ((0, 90), (1, 96)):
+        image = stretched(texture, 3 * number, noise)
+        image[:, cable : cable + 18] = 25
+        image[:, cable + 4 : cable + 7] = 90
+        cv2.imwrite(str(tmp_path / f"image_{number}.tif"), image)
+    series = measure_images([tmp_path], tmp_path / "a.nc", strain_window=21)
+    dataset, words = sentences_of(series)
+    last = dataset.sel(step=1)
+    refuted = float(last.refuted_fraction)
+    assert 0.005 < refuted < 0.2
+    assert f"{100 * refuted:.2f} % of the measured points" in words
+    error = abs(last.displacement_x - last.column * 3 * STRAIN)
+    assert float((error > 5 * last.displacement_sigma_x).sum() / error.count()) < 0.005
+    lost = np.isnan(last.displacement_x) & np.isfinite(last.displacement_closure_x)
+    assert lost.any()
+    assert not lost.sel(column=slice(0, 40)).any()
+    assert np.isnan(last.e_xx.values[lost.values]).all()
+    assert float(last.valid_fraction) == pytest.approx(float(np.isfinite(last.displacement_x).mean()))
 
 
 def test_a_folder_without_images_is_named(tmp_path):
