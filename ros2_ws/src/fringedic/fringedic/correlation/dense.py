@@ -49,6 +49,9 @@ TEXTURE = 1.5
 # Level at which a given start is taken up: a prediction that is wrong by a dozen pixels is wrong by less than one after
 # four halvings. From two halvings on, some furrows were matched with their neighbours.
 PREDICTION_LEVEL = 4
+# Part of the known pixels whose gradient is known, below which a region is too narrow for a level.
+# test_disk_that_turns
+NARROW = 0.25
 OUTLIER = 3.0  # standard deviations of noise and remaining displacement error from which on Tukey's weights decrease
 BRIGHTNESS_PASSES = 3  # of the deconvolution of gain and offset; test_shading_is_followed
 
@@ -218,6 +221,8 @@ def estimate_nodes(
         nodes = change_level(nodes, source, (top, window_at_level(width, top).cell), levels[top].shape)
     else:
         top = find_level(reference, WIDEST)
+        while top and np.isfinite(levels[top].values).sum() < NARROW * np.isfinite(reference[top]).sum():
+            top -= 1
         motion = estimate_global_motion(reference, deformed)
         frame, cell = AffineFrame.of(motion), window_at_level(width, top).cell
         nodes = make_affine_nodes(motion, top, levels[top].shape, cell, photometry.gain, photometry.offset)

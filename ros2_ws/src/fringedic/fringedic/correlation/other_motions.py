@@ -24,8 +24,8 @@ f4 = np.float32
 MOST_MOTIONS = 5  # of an image; each further one costs a measurement of its own
 _AROUND = 7  # [px], width of the square in which the residuals of two motions are compared
 _CLEARLY = 0.5  # of the other motion's squared residual, which that of a point's motion may have at most
+_HARDLY = 1.25  # the same where both motions say nearly the same
 _DIFFERENT = 1.0  # [px] between motions beyond which they exclude each other
-_FRONT = 0.5  # of a window, width from which on unmatched texture is something in front and not a weak spot
 _RIM = np.ones((3, 3), np.uint8)
 _CLOSED = np.ones((3, 3), np.uint8)  # gaps of a pixel between places of pixels that a stretch moved apart
 
@@ -37,20 +37,24 @@ def find_unmatched(reference: Prepared, nodes: Nodes) -> np.ndarray:
     margin = reference.width / 2
     height, width = reference.values.shape
     inside = (x > margin) & (x < width - margin) & (y > margin) & (y < height - margin)
-    return np.asarray(reference.texture.rich & ~nodes.valid & inside)
+    return keep_wide(reference, reference.texture.rich & ~nodes.valid & inside)
 
 
-def keep_wide(reference: Prepared, nodes: np.ndarray, part: float = 1.0) -> np.ndarray:
-    """Return what of some nodes is at least as wide as a part of the window; rims beside borders are narrower."""
-    side = max(int(part * reference.window.width / reference.window.cell), 1)
+def keep_wide(reference: Prepared, nodes: np.ndarray) -> np.ndarray:
+    """Return what of some nodes is at least half as wide as the window; rims and weak spots are narrower."""
+    side = max(reference.window.width // (2 * reference.window.cell), 1)
     opened = cv2.morphologyEx(nodes.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     return np.asarray(opened.astype(bool))
 
 
-def leave_out_rims(reference: Prepared, nodes: Nodes, unmatched: np.ndarray) -> Nodes:
+def fill_a_window(reference: Prepared, nodes: np.ndarray) -> bool:
+    """Return whether nodes cover the area of a window at least: with less, no motion is found."""
+    return bool(np.count_nonzero(nodes) >= (reference.window.width // reference.window.cell) ** 2)
+
+
+def leave_out_rims(nodes: Nodes, unmatched: np.ndarray) -> Nodes:
     """Return the nodes without those next to unmatched ones: their cells reach over the border to what is in front."""
-    front = keep_wide(reference, unmatched, _FRONT)
-    return replace(nodes, valid=nodes.valid & ~cv2.dilate(front.astype(np.uint8), _RIM).astype(bool))
+    return replace(nodes, valid=nodes.valid & ~cv2.dilate(unmatched.astype(np.uint8), _RIM).astype(bool))
 
 
 def measure_other_motions(
@@ -62,7 +66,7 @@ def measure_other_motions(
         measured = reference.spread(nodes.valid)
         left = np.where(_find_taken(reference, nodes, measured), f4(np.nan), left)
         reference = reference.without(measured)
-        if not keep_wide(reference, find_unmatched(reference, nodes)).any() or not np.isfinite(left).any():
+        if not fill_a_window(reference, find_unmatched(reference, nodes)) or not np.isfinite(left).any():
             return
         try:
             nodes = reference.measure(left, photometry)
@@ -70,7 +74,7 @@ def measure_other_motions(
             if error.code is not ErrorCode.NO_CORRELATION:
                 raise
             return
-        if not keep_wide(reference, nodes.valid).any():
+        if not fill_a_window(reference, keep_wide(reference, nodes.valid)):
             return
         yield nodes
 
@@ -97,8 +101,8 @@ def separate(
     list of (Nodes, ndarray)
         The motions, each with the pixels (row, column) bool at which no other one explains the images as well.
     """
-    residuals = _compare(reference, deformed, motions)
-    owner = np.where(np.isfinite(residuals).any(axis=0), np.argmin(residuals, axis=0), -1)
+    fields, residuals = _compare(reference, deformed, motions)
+    owner = _find_owners(fields, residuals)
     taken = [_find_taken(reference, nodes, owner == i) for i, nodes in enumerate(motions)]
     apart = []
     for i, nodes in enumerate(motions):
@@ -110,29 +114,41 @@ def separate(
             if error.code is not ErrorCode.NO_CORRELATION:
                 raise
         apart.append(nodes)
-    residuals = _compare(reference, deformed, apart)
-    fields = [reference.at_pixels(each.displacement) for each in apart]
+    fields, residuals = _compare(reference, deformed, apart)
     return [(nodes, _prevails(i, fields, residuals)) for i, nodes in enumerate(apart)]
 
 
-def _prevails(i: int, fields: list[np.ndarray], residuals: np.ndarray) -> np.ndarray:
-    """Return the pixels at which motion i explains the images clearly better than all others."""
+def _find_owners(fields: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+    """Return which motion explains each pixel best (row, column); -1 where several are near it and say the same."""
+    near = np.isfinite(residuals)
+    first = np.argmax(near, axis=0)[None, None]
+    away = np.hypot(*np.moveaxis(fields - np.take_along_axis(fields, first, axis=0), 1, 0))
+    settled = (near.sum(axis=0) == 1) | (near & (away > _DIFFERENT)).any(axis=0)
+    return np.where(settled, np.argmin(residuals, axis=0), -1)
+
+
+def _prevails(i: int, fields: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+    """Return the pixels at which motion i explains the images better than those that say something else."""
     held = np.isfinite(residuals[i])
     for j, field in enumerate(fields):
         if j != i:
             different = np.hypot(*(fields[i] - field)) > _DIFFERENT
-            held &= ~different | (residuals[i] < _CLEARLY * residuals[j])
+            held &= residuals[i] < np.where(different, _CLEARLY, _HARDLY) * residuals[j]
     return held
 
 
-def _compare(reference: Prepared, deformed: np.ndarray, motions: list[Nodes]) -> np.ndarray:
-    """Return the local squared residuals (motion, row, column), infinite further than a window from a motion."""
+def _compare(reference: Prepared, deformed: np.ndarray, motions: list[Nodes]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the displacement (motion, 2, row, column) of all motions and their local squared residuals.
+
+    The residual (motion, row, column) is infinite further than a window from the points of a motion.
+    """
     first, second = remove_shading(reference.values), remove_shading(deformed)
-    residuals = []
-    for nodes in motions:
-        residual = _average_residual(first, second, reference.at_pixels(nodes.displacement))
-        residuals.append(np.where(_widen(reference, nodes.valid), residual, np.inf))
-    return np.array(residuals)
+    fields = np.array([reference.at_pixels(each.displacement) for each in motions])
+    residuals = [
+        np.where(_widen(reference, nodes.valid), _average_residual(first, second, field), f4(np.inf))
+        for nodes, field in zip(motions, fields, strict=True)
+    ]
+    return fields, np.array(residuals)
 
 
 def _average_residual(first: np.ndarray, second: np.ndarray, displacement: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from fringedic.correlation.agreement import Nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, choose_displacement
 from fringedic.correlation.other_motions import (
+    fill_a_window,
     find_unmatched,
     keep_wide,
     leave_out_rims,
@@ -105,17 +106,15 @@ def _measure_motions(
         if not unique:
             attributes["repeats_px"] = [float(each) for each in reference.lattice.vectors.ravel()]
     unmatched = find_unmatched(reference, nodes)
-    if not keep_wide(reference, unmatched).any():
-        nodes = leave_out_rims(reference, nodes, unmatched)
-        return replace(_evaluate(nodes, reference, spacing), attributes=attributes)
+    if not fill_a_window(reference, unmatched):
+        return replace(_evaluate(leave_out_rims(nodes, unmatched), reference, spacing), attributes=attributes)
     motions = [nodes, *measure_other_motions(reference, deformed, photometry, nodes)]
     if len(motions) > 1:
         apart = separate(reference, deformed, photometry, motions)
         points = _join(reference, apart, spacing)
-        unmatched &= ~np.any([each.valid for each, _ in apart], axis=0)
+        unmatched = keep_wide(reference, unmatched & ~np.any([each.valid for each, _ in apart], axis=0))
     else:
-        points = _evaluate(leave_out_rims(reference, nodes, unmatched), reference, spacing)
-    unmatched = keep_wide(reference, unmatched)
+        points = _evaluate(leave_out_rims(nodes, unmatched), reference, spacing)
     part = float(np.count_nonzero(unmatched) / np.count_nonzero(reference.texture.rich))
     return replace(points, attributes=attributes | {"motions": len(motions), "unmatched_fraction": part})
 

@@ -116,14 +116,19 @@ class Prepared:
         """
         if self.lattice is not None or texture_over_noise(self.levels[0]) > FAINT:
             return None
-        for k, level in enumerate(self.levels):
-            if min(level.shape) < 2 * self.window.width:
-                return None
-            if k and texture_over_noise(level) > CLEAR:
-                texture = measure_texture(level, self.window.cell)
-                images, levels = self.images[k:], self.levels[k:]
-                return replace(self, images=images, levels=levels, texture=texture, binning=self.binning * 2**k)
-        return None
+        chosen = 0
+        for k, level in enumerate(self.levels[1:], 1):
+            if (
+                min(level.shape) < self.window.width + 2 * self.window.cell
+                or texture_over_noise(self.levels[chosen]) > CLEAR
+            ):
+                break
+            chosen = k
+        if texture_over_noise(self.levels[chosen]) < FAINT:
+            return None
+        images, levels = self.images[chosen:], self.levels[chosen:]
+        texture = measure_texture(levels[0], self.window.cell)
+        return replace(self, images=images, levels=levels, texture=texture, binning=2**chosen)
 
     def _own_levels(self, pyramid: list[np.ndarray]) -> list[np.ndarray]:
         first = self.binning.bit_length() - 1

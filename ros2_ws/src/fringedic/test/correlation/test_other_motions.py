@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ SHAPE = (280, 360)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
 MIDDLE = (180.0, 140.0)
 NOISE = 12.0
+SQUARE = np.ones((3, 3), np.uint8)
 
 
 def turned(degrees):
@@ -71,8 +73,11 @@ def check_both(field, exact, part):
     assert field.attrs["motions"] == 2
     assert field.valid.values[part].mean() > 0.8
     assert field.valid.values[~part].mean() > 0.75  # the part covers some of it
-    assert np.mean(np.abs(z[np.isfinite(z)]) > 6) < 2e-3
+    # a pixel at the border itself shows both
+    seam = cv2.dilate(part.astype(np.uint8), SQUARE) != cv2.erode(part.astype(np.uint8), SQUARE)
+    wrong[:, seam] = np.nan
     assert np.nanmax(np.abs(wrong)) < 1
+    assert np.mean(np.abs(z[np.isfinite(z)]) > 6) < 2e-3
 
 
 def test_another_surface_is_named(surfaces, expose, speckle):
