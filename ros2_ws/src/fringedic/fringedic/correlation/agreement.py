@@ -104,7 +104,8 @@ def check_agreement(agreed: int, offered: int) -> None:
     if agreed <= SMALLEST_AGREEMENT * offered:
         raise CorrelationError(
             f"the deformed image does not correlate with the reference: {agreed} of {offered} windows with texture "
-            "agree. Check that both show the same surface, in focus, and take more images in between if it moves far",
+            "agree. Check that both show the same surface, in focus, and that it has not left the image; take more "
+            "images in between if it changes much",
             code=ErrorCode.NO_CORRELATION,
         )
 

@@ -42,7 +42,10 @@ def _edge_ratios(values: np.ndarray) -> tuple[float, float]:
     """Return the mean absolute step across the edges of blocks over that within them, along x and along y."""
     ratios = []
     for image in (values[::3], values.T[::3]):
-        steps = np.nanmean(np.abs(np.diff(image[:, 3:-3], axis=1)), axis=0)  # from column k + 3 to k + 4
-        across = np.arange(steps.size) % BLOCK == BLOCK - 4
-        ratios.append(float(np.nanmean(steps[across])) / max(float(np.nanmean(steps[~across])), 1e-12))
+        steps = np.abs(np.diff(image[:, 3:-3], axis=1))  # from column k + 3 to k + 4
+        known = np.isfinite(steps)
+        total, count = np.where(known, steps, 0).sum(axis=0, dtype=float), known.sum(axis=0)
+        across = np.arange(count.size) % BLOCK == BLOCK - 4
+        edge, inside = (total[part].sum() / max(int(count[part].sum()), 1) for part in (across, ~across))
+        ratios.append(float(edge) / max(float(inside), 1e-12))
     return ratios[0], ratios[1]

@@ -27,10 +27,12 @@ from fringedic.correlation.other_motions import (
 from fringedic.correlation.periodic_start import start_of_lattice
 from fringedic.correlation.prepared import Prepared
 from fringedic.correlation.pyramid import build_pyramid, sample_initial
+from fringedic.correlation.texture_noise import TextureNoise
 from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
 
+_REFUSED = "the deformed image does not correlate with the reference"
 _MOST = 0.75  # of the points; where fewer are measured of a faint texture, pixels are averaged
 
 
@@ -73,19 +75,37 @@ def measure_points(
     CorrelationError
         The images do not show the same surface.
     """
-    binned = None
     try:
         points = _measure_motions(reference, deformed, photometry, start, spacing)
-        wanted = np.isfinite(reference.values[::spacing, ::spacing])
-        if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(wanted):
-            binned = reference.binned()
     except CorrelationError as error:
-        binned = reference.binned() if error.code is ErrorCode.NO_CORRELATION else None
+        if error.code is not ErrorCode.NO_CORRELATION:
+            raise
+        binned = _measure_binned(reference, deformed, photometry, start, spacing)
+        cause = TextureNoise.of(reference.levels[0]).sentence
+        if binned is None and cause:
+            raise CorrelationError(f"{_REFUSED}: {cause}", code=error.code) from error
         if binned is None:
             raise
+        return binned
+    wanted = np.isfinite(reference.values[::spacing, ::spacing])
+    if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(wanted):
+        return _measure_binned(reference, deformed, photometry, start, spacing) or points
+    return points
+
+
+def _measure_binned(
+    reference: Prepared, deformed: np.ndarray, photometry: Photometry, start: np.ndarray | None, spacing: int
+) -> Points | None:
+    """Measure with averaged pixels where the texture is faint; None where it is not, or where this does not help."""
+    binned = reference.binned()
     if binned is None:
-        return points
-    points = _measure_motions(binned, deformed, photometry, start, spacing)
+        return None
+    try:
+        points = _measure_motions(binned, deformed, photometry, start, spacing)
+    except CorrelationError as error:
+        if error.code is not ErrorCode.NO_CORRELATION:
+            raise
+        return None
     return replace(points, attributes=points.attributes | {"binning_px": binned.binning, "window_px": binned.width})
 
 

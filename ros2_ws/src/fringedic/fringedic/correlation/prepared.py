@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Self
 
-import cv2
 import numpy as np
 
 from fringedic.correlation.agreement import Nodes, Texture, assess, measure_texture
@@ -13,31 +12,13 @@ from fringedic.correlation.blocks import leave_out_block_edges
 from fringedic.correlation.dense import estimate_nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, find_lattice, keep_resolved
-from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, build_pyramid, prepare_level, resample
+from fringedic.correlation.pyramid import Level, build_pyramid, prepare_level, resample
+from fringedic.correlation.texture_noise import CLEAR, FAINT, TextureNoise
 from fringedic.correlation.window import Window, design_window
 
 f4 = np.float32
 
-
-# Ratio of the gradient energy of a texture to that of the noise alone, at which few windows have enough of it, and at
-# which nearly all have. test_coarse_and_faint_texture
-FAINT = 3.0
-CLEAR = 30.0
-# Second derivative along rows and columns: a texture of several pixels hardly changes it. Its noise gain is 6.
-_NOISE_ALONE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], f4) / 6
-_AROUND = 33  # [px], width of the local mean of the energy
-
-
-def texture_over_noise(level: Level) -> float:
-    """Return the ratio of the gradient energy of a level to that of its noise alone, in the median window.
-
-    The noise is that of a mixed second derivative (Immerkaer 1996, Computer Vision and Image Understanding 64, 300).
-    """
-    fine = cv2.filter2D(level.values, -1, _NOISE_ALONE)
-    known = np.isfinite(fine)
-    noise = 1.4826 * float(np.median(np.abs(fine[known]))) if known.any() else 0.0
-    energy = (level.along_x**2 + level.along_y**2) / 2
-    return float(np.median(cv2.blur(energy, (_AROUND, _AROUND))[known])) / max(DERIVATIVE_NOISE * noise**2, 1e-30)
+FEWEST_FEATURES = 8.0  # in a window of averaged pixels: with fewer, any two of them can be made to agree
 
 
 def _prepare_levels(images: list[np.ndarray], deviation: float) -> list[Level]:
@@ -114,17 +95,14 @@ class Prepared:
 
         None where the texture is not faint, or where no binning makes it stand out or leaves enough pixels.
         """
-        if self.lattice is not None or texture_over_noise(self.levels[0]) > FAINT:
+        if self.lattice is not None or TextureNoise.of(self.levels[0]).ratio > FAINT:
             return None
-        chosen = 0
+        chosen, found = 0, TextureNoise.of(self.levels[0])
         for k, level in enumerate(self.levels[1:], 1):
-            if (
-                min(level.shape) < self.window.width + 2 * self.window.cell
-                or texture_over_noise(self.levels[chosen]) > CLEAR
-            ):
+            if min(level.shape) < self.window.width + 2 * self.window.cell or found.ratio > CLEAR:
                 break
-            chosen = k
-        if texture_over_noise(self.levels[chosen]) < FAINT:
+            chosen, found = k, TextureNoise.of(level)
+        if found.ratio < FAINT or self.window.width**2 < FEWEST_FEATURES * found.feature:
             return None
         images, levels = self.images[chosen:], self.levels[chosen:]
         texture = measure_texture(levels[0], self.window.cell)
