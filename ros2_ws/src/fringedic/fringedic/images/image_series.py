@@ -64,7 +64,7 @@ class MeasuredImage(NamedTuple):
     increment_from
         Name of the image that it was compared with when that is not the reference; otherwise empty.
     remarks
-        What needs attention although it is measured, with the codes of `fringedic.images.remarks.ImageRemark`.
+        What needs attention in it, measured or not, with the codes of `fringedic.images.remarks.ImageRemark`.
     """
 
     step: int
@@ -259,10 +259,13 @@ class _Measuring:
         self._files[step] = file
         row = Row(step, image=file.name)
         texture = None
+        remarks: tuple[Remark, ...] = ()
         try:
             grey = texture = self._read(file)
             if step == 0:
                 self._has_mosaic = has_mosaic(grey)
+            remarks = self._examine(step, grey)
+            row.remarks = json.dumps([{"code": each.code, **each.values} for each in remarks]) if remarks else ""
             if self._has_mosaic:
                 texture = smooth_mosaic(grey)
             if step == 0 and self._mask is not None:
@@ -275,9 +278,7 @@ class _Measuring:
                 str(error) if texture is None else f"{file}: {reason_of(error)}"
             )  # errors of reading name the file
             self._reason = self._reason or type(error)(row.error)
-            return row, MeasuredImage(step, file.name, row.error)
-        remarks = self._examine(step, grey)
-        row.remarks = json.dumps([{"code": each.code, **each.values} for each in remarks]) if remarks else ""
+            return row, MeasuredImage(step, file.name, row.error, remarks=remarks)
         closure = self._checks.closure(result, texture, self._parameters.kept_steps)
         closures, refuted = closure_maps(closure), self._find_refuted(result, closure)
         field, scale = _without(result.field, refuted), self._scale

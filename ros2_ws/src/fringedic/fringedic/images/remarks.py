@@ -1,4 +1,4 @@
-"""What needs attention in an image of a series although it is measured, as data; `sentences` puts it into words."""
+"""What needs attention in an image of a series, as data; `sentences` puts it into words."""
 
 from __future__ import annotations
 

@@ -334,6 +334,18 @@ def test_copies_of_an_image_are_named(folder, tmp_path):
     assert "image_3.tif is identical to image_2.tif" in words
 
 
+def test_an_image_that_is_refused_is_told_to_be_saturated(folder, tmp_path):
+    first, second = (cv2.imread(str(folder / f"load_{name}.tif"), cv2.IMREAD_UNCHANGED) for name in (1, 2))
+    white = np.clip(40 + 20 * (second.astype(float) - 70), 0, 255).astype(np.uint8)
+    for name, image in (("0", first), ("1", second), ("2", white)):
+        cv2.imwrite(str(tmp_path / f"image_{name}.tif"), image)
+    series = measure_images([tmp_path], tmp_path / "a.nc")
+    _, words = sentences_of(series)
+    assert [image.name for image in series.failed] == ["image_2.tif"]
+    assert [each.code for each in series.failed[0].remarks] == ["saturated"]
+    assert "% of the pixels of image_2.tif are at the lowest or highest grey level" in words
+
+
 def test_saturation_is_told_with_its_share(folder, tmp_path):
     first, last = (cv2.imread(str(folder / f"load_{name}.tif"), cv2.IMREAD_UNCHANGED) for name in (1, 2))
     overexposed = np.clip(100 + 1.2 * last.astype(float), 0, 255).astype(np.uint8)
