@@ -270,11 +270,13 @@ def _split(image: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]
 def _move_back(deformed: np.ndarray, displacement: np.ndarray, further: np.ndarray) -> np.ndarray:
     """Return the deformed image at the displaced pixels of the reference, NaN where it is not known."""
     rows, columns = np.indices(deformed.shape, f4)
-    places = [columns + displacement[0] + f4(further[0]), rows + displacement[1] + f4(further[1])]
-    places = [np.where(np.isfinite(each), each, f4(-10)).astype(f4) for each in places]
-    return np.asarray(
-        cv2.remap(deformed, *places, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    x, y = (
+        np.where(np.isfinite(each), each, f4(-10)).astype(f4)
+        for each in (columns + displacement[0] + f4(further[0]), rows + displacement[1] + f4(further[1]))
     )
+    nothing = float("nan")
+    moved = cv2.remap(deformed, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)
+    return np.asarray(moved)
 
 
 def _propose(uneven: np.ndarray, moved: np.ndarray, shifts: np.ndarray) -> list[np.ndarray]:
@@ -290,11 +292,11 @@ def _propose(uneven: np.ndarray, moved: np.ndarray, shifts: np.ndarray) -> list[
 def _block_products(uneven: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """Return the means over blocks of what is not periodic in the reference times what is left of the other image."""
     rows, columns = (n // _BLOCK * _BLOCK for n in uneven.shape)
-    product_ = np.where(np.isfinite(rest), uneven * np.nan_to_num(rest), 0)[:rows, :columns]
+    products = np.where(np.isfinite(rest), uneven * np.nan_to_num(rest), 0)[:rows, :columns]
     seen = (np.isfinite(rest) & (uneven != 0))[:rows, :columns]
     blocks = (rows // _BLOCK, _BLOCK, columns // _BLOCK, _BLOCK)
     number = seen.reshape(blocks).sum(axis=(1, 3))
-    total = product_.reshape(blocks).sum(axis=(1, 3), dtype=np.float64)
+    total = products.reshape(blocks).sum(axis=(1, 3), dtype=np.float64)
     return np.where(number > _BLOCK**2 / 2, total / np.maximum(number, 1), np.nan).ravel()
 
 

@@ -134,7 +134,7 @@ def _prevails(i: int, fields: np.ndarray, residuals: np.ndarray) -> np.ndarray:
         if j != i:
             different = np.hypot(*(fields[i] - field)) > _DIFFERENT
             held &= residuals[i] < np.where(different, _CLEARLY, _HARDLY) * residuals[j]
-    return held
+    return np.asarray(held)
 
 
 def _compare(reference: Prepared, deformed: np.ndarray, motions: list[Nodes]) -> tuple[np.ndarray, np.ndarray]:

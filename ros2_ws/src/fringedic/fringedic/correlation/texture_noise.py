@@ -75,8 +75,8 @@ class TextureNoise:
         if self.ratio > FAINT:
             if self.across < _STRIPES:
                 return (
-                    "the texture of the reference has one direction (stripes): only the displacement across them shows. "
-                    "Add a random pattern"
+                    "the texture of the reference has one direction (stripes): only the displacement across them "
+                    "shows. Add a random pattern"
                 )
             return ""
         if self.noise > _NOTHING_BUT_NOISE:

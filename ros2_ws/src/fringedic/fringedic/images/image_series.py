@@ -24,7 +24,7 @@ from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError, FringedicError, ImageError, reason_of
 from fringedic.frames.files import image_files, read_grey, require_size
 from fringedic.frames.mosaic import has_mosaic, smooth_mosaic
-from fringedic.images.remarks import SATURATED_SHARE, ImageRemark, saturated_share
+from fringedic.images.remarks import SATURATED_SHARE, ImageRemark, field_remarks, saturated_share
 from fringedic.metadata import Metadata
 from fringedic.steps.closures import ClosureChecks, closure_maps
 from fringedic.steps.displacement_tracker import DisplacementTracker
@@ -265,7 +265,7 @@ class _Measuring:
             if step == 0:
                 self._has_mosaic = has_mosaic(grey)
             remarks = self._examine(step, grey)
-            row.remarks = json.dumps([{"code": each.code, **each.values} for each in remarks]) if remarks else ""
+            row.remarks = _as_json(remarks)
             if self._has_mosaic:
                 texture = smooth_mosaic(grey)
             if step == 0 and self._mask is not None:
@@ -279,6 +279,8 @@ class _Measuring:
             )  # errors of reading name the file
             self._reason = self._reason or type(error)(row.error)
             return row, MeasuredImage(step, file.name, row.error, remarks=remarks)
+        remarks += field_remarks(result.field.attrs)
+        row.remarks = _as_json(remarks)
         closure = self._checks.closure(result, texture, self._parameters.kept_steps)
         closures, refuted = closure_maps(closure), self._find_refuted(result, closure)
         field, scale = _without(result.field, refuted), self._scale
@@ -337,6 +339,10 @@ class _Measuring:
             refuted = np.zeros(result.field.valid.shape, bool) if link is None else link & result.field.valid.values
         self._refuted = {result.step: refuted} if link is None else {result.correlated_step: link, result.step: refuted}
         return refuted
+
+
+def _as_json(remarks: Sequence[Remark]) -> str:
+    return json.dumps([{"code": each.code, **each.values} for each in remarks]) if remarks else ""
 
 
 def _without(field: xr.Dataset, points: np.ndarray) -> xr.Dataset:

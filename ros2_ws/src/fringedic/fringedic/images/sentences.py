@@ -111,7 +111,7 @@ def failure_sentences(series: ImageSeries) -> Iterator[str]:
 
 
 def remark_sentences(series: ImageSeries) -> Iterator[str]:
-    """Yield what needs attention in the images of a series: a colour mosaic, copies of images, saturation."""
+    """Yield what needs attention in the images of a series: their pixels, and what their texture does not tell."""
     by_code: dict[str, list[tuple[MeasuredImage, dict[str, float]]]] = {}
     for image in series.images:
         for remark in image.remarks:
@@ -133,6 +133,33 @@ def remark_sentences(series: ImageSeries) -> Iterator[str]:
             f"level ({len(saturated)} of {len(series.images)} images are saturated): change the exposure, or mask what "
             "is not the specimen"
         )
+    yield from _texture_sentences(by_code)
+
+
+def _texture_sentences(by_code: dict[str, list[tuple[MeasuredImage, dict[str, float]]]]) -> Iterator[str]:
+    if repeated := by_code.get(ImageRemark.REPEATS):
+        yield (
+            f"periodic: the texture repeats every {repeated[0][1]['period']:.1f} px, and nothing in it decides: "
+            f"displacements of {_images(repeated)} are known up to multiples of it; the smallest are given, or those "
+            "that continue the image before. A random pattern, or small steps, make them certain"
+        )
+    if unmatched := by_code.get(ImageRemark.UNMATCHED):
+        worst, values = max(unmatched, key=lambda each: each[1]["share"])
+        yield (
+            f"no displacement: {100 * values['share']:.0f} % of the texture of {worst.name} has none "
+            f"({_images(unmatched)}): another motion, another surface, or something in front; a mask helps"
+        )
+    if binned := by_code.get(ImageRemark.BINNED):
+        worst, values = max(binned, key=lambda each: each[1]["binning"])
+        yield (
+            f"averaged: the texture is coarse and faint, so that {values['binning']:.0f} x {values['binning']:.0f} "
+            f"pixels of {worst.name} were averaged; the window is {values['window']:.0f} px wide ({_images(binned)}). "
+            "More light or a finer pattern keep the window"
+        )
+
+
+def _images(remarked: Sequence[tuple[MeasuredImage, dict[str, float]]]) -> str:
+    return "1 image" if len(remarked) == 1 else f"{len(remarked)} images"
 
 
 def _medians(step: xr.Dataset, names: tuple[str, ...]) -> str:

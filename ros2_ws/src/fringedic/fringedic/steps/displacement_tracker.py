@@ -212,7 +212,8 @@ class DisplacementTracker:
         found = None if predicted is None else self._attempt(link, texture, predicted)
         if found is None:
             return self._measure(link, texture)
-        if found[1] >= TURNED * self._expected:
+        # Of a periodic texture, a start without a prediction would lose the count of the repetitions.
+        if found[1] >= TURNED * self._expected or "repeats_px" in found[0].attrs:
             return found
         anew = self._attempt(link, texture)
         best = found if anew is None or anew[1] < found[1] else anew
