@@ -355,7 +355,7 @@ def test_saturation_is_told_with_its_share(folder, tmp_path):
         cv2.imwrite(str(tmp_path / f"image_{name}.tif"), image)
     series = measure_images([tmp_path], tmp_path / "a.nc")
     _, words = sentences_of(series)
-    assert [each.code for image in series.images for each in image.remarks] == ["saturated"]
+    assert series.images[1].remarks[0].code == "saturated"
     assert series.images[1].remarks[0].values["share"] == pytest.approx(share)
     assert f"saturated: {100 * share:.1f} % of the pixels of image_1.tif" in words
 
@@ -415,6 +415,21 @@ def test_points_beside_an_occluder_are_not_valid(tmp_path):
     assert not lost.sel(column=slice(0, 40)).any()
     assert np.isnan(last.e_xx.values[lost.values]).all()
     assert float(last.valid_fraction) == pytest.approx(float(np.isfinite(last.displacement_x).mean()))
+
+
+def test_a_fabric_is_followed_beyond_its_period(tmp_path):
+    """Small steps add up to more than half a period: the count is kept, and what is not certain is told."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    generator = np.random.default_rng(8)
+    for step in range(6):
+        woven = 120 + 40 * (np.cos(2 * np.pi * (x - 3 * step) / 12) + np.cos(2 * np.pi * y / 12))
+        cv2.imwrite(str(tmp_path / f"{step}.png"), np.rint(woven + generator.normal(0, 1.5, SIZE)))
+    series = measure_images([tmp_path], tmp_path / "fabric.nc")
+    with fringedic.open_experiment(series.dataset) as dataset:
+        moved = dataset["displacement_x"].median(("row", "column")).values
+        sentences = list(series_sentences(series, dataset))
+    np.testing.assert_allclose(moved, 3.0 * np.arange(6), atol=0.02)
+    assert any(each.startswith("periodic: the texture repeats every 12.0 px") for each in sentences)
 
 
 def test_a_folder_without_images_is_named(tmp_path):
