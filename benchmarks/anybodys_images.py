@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # one scene per process
 
 import numpy as np
-from image_scenes.layers import Layer, Truth, View
+from image_scenes.layers import BORDER, Layer, Truth, View
 from image_scenes.motions import Affine
 from image_scenes.outcomes import (
     EMPTY,
@@ -224,7 +224,7 @@ Rotations: speckle of 4 px, contrast 150, noise 1.5 grey levels, every 10 degree
   displacement, and at least {100 * FOUND:.0f} % of the measurable points are valid. A point is measurable if the
   material around it is visible for {WINDOW} px in both images and the Cramer-Rao bound of its window is below
   {PRECISE:g} px (from the gradients of the exact reference and the noise). Points that are hidden in the deformed image
-  count with the motion of their material; pixels that show two materials do not count.
+  count with the motion of their material. Pixels within {BORDER:g} px of a border show both sides and are not judged.
 - **Refused:** nothing can be measured, and the message names the reason, or less than {100 * EMPTY:.0f} % of the points
   are valid. **Other reason:** the message names another one.
 - **Partially wrong, wrong:** fewer valid points are within {RIGHT:g} standard uncertainties; in wrong scenes less than
@@ -244,9 +244,10 @@ Rotations: speckle of 4 px, contrast 150, noise 1.5 grey levels, every 10 degree
   {100 * OVERLAP:.0f} % of the reference remain in the image. In 40 % of the scenes a wave of 0.3 to 3 px and 320 to
   700 px.
 - **Part moved:** a part moves by 2 to 60 px, turns by up to 8 degrees, stretches by up to 5 %; the rest is still in
-  60 % of the scenes.
+  60 % of the scenes. What the part reveals is another surface with the same kind of texture.
 - **Occluder:** a cable or a tool, with or without a texture, moves in front by 2 to 40 px.
-- **Crack:** it opens by 1 to 12 px across the image, and slides by up to 10 px, or to a tip.
+- **Crack:** it opens by 1 to 12 px across the image, and slides by up to 10 px, or to a tip. Inside it is
+  dark, without texture.
 
 To make one scene again, start Python in `benchmarks/`:
 

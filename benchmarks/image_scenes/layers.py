@@ -10,6 +10,9 @@ import numpy as np
 from image_scenes.motions import Motion
 from image_scenes.textures import Texture
 
+BORDER = 2.0  # [px] on each side of an edge are mixed
+_AROUND = np.linspace(0, 2 * np.pi, 16, endpoint=False)  # directions in which an edge is looked for
+
 Cover = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Shape = tuple[int, int]
 
@@ -24,17 +27,33 @@ def everywhere(x: np.ndarray, _y: np.ndarray) -> np.ndarray:
     return np.ones(x.shape)
 
 
-def rectangle(centre: tuple[float, float], half: tuple[float, float], angle: float, corner: float) -> Cover:
-    """Return the cover of a rectangle with rounded corners: half of its sides, radius of its corners [px]."""
-    c, s = np.cos(angle), np.sin(angle)
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle with rounded corners: half of its sides, radius of its corners [px]."""
 
-    def cover(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        u, v = x - centre[0], y - centre[1]
-        beyond = np.abs(c * u + s * v) - half[0] + corner, np.abs(-s * u + c * v) - half[1] + corner
+    centre: tuple[float, float]
+    half: tuple[float, float]
+    angle: float
+    corner: float
+
+    def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the distance from the edge [px], positive inside."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        u, v = x - self.centre[0], y - self.centre[1]
+        beyond = (
+            np.abs(c * u + s * v) - self.half[0] + self.corner,
+            np.abs(-s * u + c * v) - self.half[1] + self.corner,
+        )
         outside = np.hypot(np.clip(beyond[0], 0, None), np.clip(beyond[1], 0, None))
-        return _ramp(corner - outside - np.clip(np.maximum(*beyond), None, 0))
+        return np.asarray(self.corner - outside - np.clip(np.maximum(*beyond), None, 0))
 
-    return cover
+    def inside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the cover of the rectangle."""
+        return _ramp(self.distance(x, y))
+
+    def outside(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the cover of what is around it, which reaches below its edge: no seam is seen."""
+        return _ramp(1 - self.distance(x, y))
 
 
 @dataclass(frozen=True)
@@ -89,7 +108,7 @@ class Truth:
     layer
         Number of the layer that is seen in the reference.
     mixed
-        The pixel of the reference lies on the edge of a surface: it shows two materials.
+        The pixel of the reference is within 2 px of a border between surfaces: there the image shows both.
     """
 
     x: np.ndarray
@@ -145,14 +164,22 @@ class View:
                 total += vertical * horizontal * self.brightness(column + dx, row + dy, moved=moved)
         return total
 
-    def truth(self, spacing: int = 1) -> Truth:
-        """Return the motion of the points (row, column) of a grid in the reference."""
-        y, x = np.mgrid[: self.shape[0] : spacing, : self.shape[1] : spacing].astype(float)
+    def _shares(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the part of each layer in the reference at points of the image."""
         seen, shares = np.ones(x.shape), []
         for layer in self.layers:
             shares.append(seen * layer.cover(x, y))
             seen = seen - shares[-1]
+        return np.stack(shares)
+
+    def truth(self, spacing: int = 1) -> Truth:
+        """Return the motion of the points (row, column) of a grid in the reference."""
+        y, x = np.mgrid[: self.shape[0] : spacing, : self.shape[1] : spacing].astype(float)
+        shares = self._shares(x, y)
         front, mixed = np.argmax(shares, axis=0), np.max(shares, axis=0) < 1
+        for angle in _AROUND:
+            beside = self._shares(x + BORDER * np.cos(angle), y + BORDER * np.sin(angle))
+            mixed |= np.argmax(beside, axis=0) != front
         dx, dy, visible = np.full(x.shape, np.nan), np.full(x.shape, np.nan), np.zeros(x.shape, bool)
         for k, layer in enumerate(self.layers):
             own = front == k

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from image_scenes.layers import Cover, Layer, Line, Shape, View, rectangle
+from image_scenes.layers import Cover, Layer, Line, Rectangle, Shape, View
 from image_scenes.motions import STILL, Affine, Motion, Opening, Sequence, Wave
 from image_scenes.textures import Box, Grid, Mixture, Plain, Skin, Spots, Stripes, Texture, Weave
 
@@ -98,7 +98,7 @@ class Scene:
     view
         Surfaces and camera.
     surface
-        Texture of the specimen; an occluder has another one.
+        Texture of the specimen; an occluder has another one, and so has what a moved part reveals.
     exposure
         Light, noise and compression.
     lattice
@@ -131,6 +131,16 @@ class Scene:
         images = [self.exposure.record(each, random) for each in clean]
         variance = np.mean([np.mean((image - grey) ** 2) for image, grey in zip(images, clean, strict=True)])
         return Pair(images[0], images[1], clean[0], float(np.sqrt(variance)))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A drawn texture: its figures in words, its periods as in `Scene`, and the samples that a pixel needs."""
+
+    texture: Texture
+    words: str
+    lattice: np.ndarray | None = None
+    samples: int = 2
 
 
 def _choose(shares: dict[str, float], random: np.random.Generator) -> str:
@@ -166,22 +176,26 @@ class _Draw:
         self.shape: Shape = LARGE if random.random() < 0.1 else SMALL
         self.centre = (self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2
         self.words: list[str] = []
-        self.samples = 2
-        self.lattice: np.ndarray | None = None
 
     def scene(self) -> Scene:
         """Return the scene."""
         layers = self._layers()
         # The area that a texture has to fill follows from the motions.
         box = self._box(layers)
-        surface = self._surface(box)
-        later = self._surface(box) if self.texture == "unrelated" else None
+        surface = self._surface(box, self.random)
+        self.words.append(surface.words)
+        later = self._surface(box, self.random).texture if self.texture == "unrelated" else None
+        textures = {id(_TO_COME): surface.texture}
+        if self.kind == "part moved":
+            # with the texture that the part had there, a part that stands still would explain its rim as well
+            textures[id(_REVEALED)] = self._surface(box, np.random.default_rng((self.number, 3))).texture
         layers = tuple(
-            replace(each, texture=surface, later=later) if each.texture is _TO_COME else each for each in layers
+            replace(each, texture=textures[id(each.texture)], later=later) if id(each.texture) in textures else each
+            for each in layers
         )
-        view, exposure = View(self.shape, layers, self.samples), self._exposure()
+        view, exposure = View(self.shape, layers, surface.samples), self._exposure()
         words = ", ".join(self.words)
-        return Scene(self.number, self.texture, self.kind, words, view, surface, exposure, self.lattice)
+        return Scene(self.number, self.texture, self.kind, words, view, surface.texture, exposure, surface.lattice)
 
     def _layers(self) -> tuple[Layer, ...]:
         if self.texture == "moved out":
@@ -190,7 +204,7 @@ class _Draw:
         still = self.kind == "part moved" and self.random.random() < 0.6
         motion = STILL if still else self._motion(gentle=self.random.random() < gentle)
         if self.kind == "part moved":
-            return (self._part(motion), Layer(_TO_COME, motion))
+            return self._part(motion)
         if self.kind == "occluder":
             return (self._occluder(), Layer(_TO_COME, motion))
         if self.kind == "crack":
@@ -260,7 +274,8 @@ class _Draw:
 
     # what moves apart or in front
 
-    def _part(self, behind: Motion) -> Layer:
+    def _part(self, rest: Motion) -> tuple[Layer, ...]:
+        """Return a part of the surface, the rest with a hole in the part's place, and what is seen through the hole."""
         random = self.random
         place, angle = self._place(0.3), random.uniform(0, math.pi)
         half = random.uniform(0.1, 0.3) * self.shape[1], random.uniform(0.15, 0.3) * self.shape[0]
@@ -269,8 +284,12 @@ class _Draw:
         gradient = rotation(math.radians(degrees)) @ stretch(strain, random.uniform(0, math.pi))
         own = Affine(gradient, place, (size * math.cos(way), size * math.sin(way)))
         self.words.append(f"part moved by {size:.1f} px, {degrees:.1f} degrees, {100 * strain:.1f} %")
-        cover = rectangle(place, half, angle, random.uniform(5, 0.9 * min(half)))
-        return Layer(_TO_COME, Sequence((own, behind)), cover)
+        edge = Rectangle(place, half, angle, random.uniform(5, 0.9 * min(half)))
+        return (
+            Layer(_TO_COME, Sequence((own, rest)), edge.inside),
+            Layer(_TO_COME, rest, edge.outside),
+            Layer(_REVEALED, rest),
+        )
 
     def _occluder(self) -> Layer:
         random = self.random
@@ -286,7 +305,7 @@ class _Draw:
             self.words.append(f"cable of {2 * half:.0f} px moved by {size:.1f} px")
         else:
             sides = random.uniform(0.05, 0.15) * self.shape[1], random.uniform(0.05, 0.15) * self.shape[1]
-            cover = rectangle(place, sides, random.uniform(0, math.pi), 0.8 * min(sides))
+            cover = Rectangle(place, sides, random.uniform(0, math.pi), 0.8 * min(sides)).inside
             self.words.append(f"tool of {2 * sides[0]:.0f} x {2 * sides[1]:.0f} px moved by {size:.1f} px")
         layer = Layer(Plain(random.uniform(0.05, 0.95)), motion, cover)
         if random.random() < 0.5:
@@ -323,39 +342,35 @@ class _Draw:
         high = np.max([[np.max(each) for each in points] for points in seen], axis=0) + MARGIN
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
-    def _surface(self, box: Box) -> Texture:
-        random, angle = self.random, self.random.uniform(-0.3, 0.3)
+    def _surface(self, box: Box, random: np.random.Generator) -> Surface:
+        """Return a surface of the scene's kind of texture."""
+        angle = random.uniform(-0.3, 0.3)
         if self.texture == "stripes":
             number = int(random.choice([1, 6]))
             waves = np.stack([random.uniform(8, 40, number), random.uniform(0, 2 * math.pi, number)], axis=1)
-            self.words.append(f"{number} waves")
-            return Stripes(random.uniform(0, math.pi), waves)
+            return Surface(Stripes(random.uniform(0, math.pi), waves), f"{number} waves")
         if self.texture == "skin":
             pitch = random.uniform(10, 30)
-            self.words.append(f"plateaus of {pitch:.0f} px")
-            return Skin(pitch, box, random)
+            return Surface(Skin(pitch, box, random), f"plateaus of {pitch:.0f} px")
         if self.texture == "dots":
             pitch = random.uniform(8, 24)
             periods = pitch * np.array([[1, 0], random.choice([[0, 1], [0.5, 0.75**0.5]])]) @ rotation(angle).T
             jitter = pitch * random.choice([0, random.uniform(0.15, 0.3)])
-            self.words.append(f"pitch {pitch:.1f} px, " + (f"jitter {jitter:.1f} px" if jitter else "perfect"))
-            if not jitter:
-                self.lattice = periods
-            return Spots.lattice(periods, pitch * random.uniform(0.3, 0.6), jitter, box, random)
+            dots = Spots.lattice(periods, pitch * random.uniform(0.3, 0.6), jitter, box, random)
+            words = f"pitch {pitch:.1f} px, " + (f"jitter {jitter:.1f} px" if jitter else "perfect")
+            return Surface(dots, words, None if jitter else periods)
         if self.texture in ("grid", "weave"):
             pitch, share = random.uniform(8, 24), random.choice([0, random.uniform(0.04, 0.15)])
             pattern = Grid(pitch, angle) if self.texture == "grid" else Weave(pitch / 2, angle)
-            self.words.append(f"pitch {pitch:.1f} px, " + (f"{100 * share:.0f} % irregular" if share else "perfect"))
-            if share:
-                return Mixture(pattern, Spots.speckle(random.uniform(3, 8), box, random), share)
-            self.lattice = pattern.periods
-            return pattern
+            words = f"pitch {pitch:.1f} px, " + (f"{100 * share:.0f} % irregular" if share else "perfect")
+            if not share:
+                return Surface(pattern, words, pattern.periods)
+            return Surface(Mixture(pattern, Spots.speckle(random.uniform(3, 8), box, random), share), words)
         sizes = {"too fine": (0.4, 0.6), "too coarse": (150, 250), "speckle": (2, 25)}
         low, high = sizes.get(self.texture, (3, 10))
         diameter = float(np.exp(random.uniform(math.log(low), math.log(high))))
-        self.samples = 3 if diameter < FINE else 2
-        self.words.append(f"speckle of {diameter:.1f} px")
-        return Spots.speckle(diameter, box, random)
+        words, samples = f"speckle of {diameter:.1f} px", 3 if diameter < FINE else 2
+        return Surface(Spots.speckle(diameter, box, random), words, samples=samples)
 
     def _exposure(self) -> Exposure:
         random = self.random
@@ -374,3 +389,4 @@ class _Draw:
 
 
 _TO_COME = Plain(0.0)  # stands for the texture of the surface until the area that it has to fill is known
+_REVEALED = Plain(0.0)  # stands for that of another surface, which is seen where a part was

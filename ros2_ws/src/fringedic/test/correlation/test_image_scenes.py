@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.ndimage import distance_transform_edt
 
 import fringedic.correlation.closure  # noqa: F401 (its first import changes the environment: not inside of a test)
 
@@ -81,6 +83,44 @@ def test_the_material_is_where_the_truth_places_it(number: int):
     assert whole.sum() > 0.3 * whole.size
     assert before.std() > 0.01
     assert np.abs(after - before).max() < 1e-6
+
+
+@pytest.mark.parametrize("number", [1, 6, 11, 47])
+def test_what_a_part_or_a_crack_reveals_is_not_what_the_reference_shows(number: int):
+    """Otherwise a rim that stands still, or moves as the rest does, would explain the deformed image as well."""
+    from image_scenes.layers import View
+    from image_scenes.motions import STILL
+    from image_scenes.scenes import Scene
+    from image_scenes.textures import Plain
+
+    view = Scene.random(number).view
+    behind = len(view.layers) - 1
+    # every surface with a brightness of its own number: which one is seen in the deformed image
+    marked = View(view.shape, tuple(replace(each, texture=Plain(k)) for k, each in enumerate(view.layers)))
+    y, x = np.mgrid[: view.shape[0], : view.shape[1]].astype(float)
+    revealed = np.abs(marked.brightness(x, y, moved=True) - behind) < 1e-9
+    assert revealed.sum() > 100
+    after = view.brightness(x[revealed], y[revealed], moved=True)
+    motions = [each.motion for each in view.layers] + [STILL]
+    for at in (motion.inverse(x[revealed], y[revealed]) for motion in motions):
+        before = view.brightness(*at, moved=False)
+        assert np.sqrt(np.mean((after - before) ** 2)) > 0.8 * before.std()
+
+
+@pytest.mark.parametrize("number", SCENES)
+def test_pixels_within_two_pixels_of_a_border_are_mixed(number: int):
+    from image_scenes.scenes import Scene
+
+    truth = Scene.random(number).view.truth()
+    surfaces = np.unique(truth.layer)
+    if len(surfaces) == 1:
+        assert not truth.mixed.any()
+        return
+    # the border is half a pixel before the next pixel of another surface
+    away = np.max([distance_transform_edt(truth.layer == each) for each in surfaces], axis=0)
+    assert truth.mixed[away <= 2].all()
+    inner = np.s_[3:-3, 3:-3]  # a border may be just outside of the image
+    assert not truth.mixed[inner][away[inner] > 2.5].any()
 
 
 @pytest.mark.parametrize("number", SCENES)
