@@ -12,7 +12,7 @@ import xarray as xr
 from scipy.ndimage import distance_transform_edt
 
 from fringedic import measure_displacement
-from fringedic.correlation.closure import displacement_closure
+from fringedic.correlation.closure import displacement_closure, refuted_points
 from fringedic.errors import CorrelationError
 from image_scenes.layers import Truth
 from image_scenes.scenes import Pair, Scene
@@ -49,8 +49,11 @@ class Result:
     message
         Of the refusal, if it was refused.
     points, measurable, valid
-        Numbers of points: all, those that should be found, those with a displacement (none on the edge of a surface,
-        where pixels show two materials).
+        Numbers of points: all, those that should be found, those with a displacement that the closure does not refute
+        (none beside the edge of a surface, where pixels show two materials).
+    refuted, needless
+        Numbers of points with a displacement that the closure refutes (none beside an edge either), and of those that
+        are measurable and within `RIGHT` standard deviations.
     found
         Share of the measurable points that have a displacement.
     within
@@ -60,7 +63,7 @@ class Result:
     score
         Root mean square of error over sigma of the valid points.
     seconds
-        Time of the measurement.
+        Time of the measurement and its closure.
     """
 
     scene: int
@@ -72,6 +75,8 @@ class Result:
     points: int
     measurable: int
     valid: int = 0
+    refuted: int = 0
+    needless: int = 0
     found: float = 0.0
     within: float = float("nan")
     wrong: int = 0
@@ -105,11 +110,12 @@ def repeated_truth(scene: Scene, truth: Truth, field: xr.Dataset) -> Truth:
     Each surface has one number of periods, the nearest to the measured displacement.
     """
     stated = field.attrs.get("repeats_px")
-    if scene.lattice is None or stated is None or np.size(stated) != 4:
+    if scene.lattice is None or stated is None:
         return truth
-    periods = np.reshape(stated, (2, 2)) @ np.linalg.inv(scene.lattice)
-    if np.abs(periods - np.rint(periods)).max() > 0.1 or abs(np.linalg.det(np.rint(periods))) < 0.5:
+    multiples = np.reshape(stated, (-1, 2)) @ np.linalg.inv(scene.lattice)
+    if np.abs(multiples - np.rint(multiples)).max() > 0.1:
         return truth
+    periods = np.rint(multiples) @ scene.lattice  # exactly
     y, x = np.meshgrid(field.row.values.astype(float), field.column.values.astype(float), indexing="ij")
     moved = {"x": truth.x.copy(), "y": truth.y.copy()}
     for number, layer in enumerate(scene.view.layers):
@@ -118,15 +124,21 @@ def repeated_truth(scene: Scene, truth: Truth, field: xr.Dataset) -> Truth:
             continue
         at = x[own], y[own]
         base = np.stack(layer.motion.forward(*at))
-        steps = [
-            np.stack(layer.motion.forward(at[0] + period[0], at[1] + period[1])) - base for period in scene.lattice
-        ]
+        # the motion carries the periods along: (1 + gradient) times each
+        steps = [np.stack(layer.motion.forward(at[0] + period[0], at[1] + period[1])) - base for period in periods]
         error = [field[f"displacement_{axis}"].values[own] - getattr(truth, axis)[own] for axis in "xy"]
-        whole = np.linalg.solve(np.stack(steps, axis=1).transpose(2, 0, 1), np.stack(error, axis=1)[..., None])
-        shift = np.rint(np.median(whole[..., 0], axis=0)) @ scene.lattice
+        whole = np.linalg.pinv(np.stack(steps, axis=1).transpose(2, 0, 1)) @ np.stack(error, axis=1)[..., None]
+        shift = np.rint(np.median(whole[..., 0], axis=0)) @ periods
         for axis, place, there in zip("xy", at, layer.motion.forward(at[0] + shift[0], at[1] + shift[1]), strict=True):
             moved[axis][own] = there - place
     return replace(truth, x=moved["x"], y=moved["y"])
+
+
+def measure_pair(pair: Pair) -> tuple[xr.Dataset, xr.Dataset, np.ndarray]:
+    """Return the displacement of a pair, its closure and the points that this refutes, as `fringedic.images` does."""
+    field = measure_displacement(pair.reference, pair.deformed, window=WINDOW, spacing=SPACING)
+    closure = displacement_closure(pair.reference, pair.deformed, field)
+    return field, closure, refuted_points(closure, field)
 
 
 def measure(number: int) -> Result:
@@ -138,15 +150,17 @@ def measure(number: int) -> Result:
     counts = (measurable.size, int(measurable.sum()))
     started = time.perf_counter()
     try:
-        field = measure_displacement(pair.reference, pair.deformed, window=WINDOW, spacing=SPACING)
+        field, closure, refuted = measure_pair(pair)
     except CorrelationError as error:
         seconds = time.perf_counter() - started
         return Result(*known, judge_refusal(scene, measurable, str(error)), str(error), *counts, seconds=seconds)
     seconds = time.perf_counter() - started
-    valid = field.valid.values & ~truth.mixed
-    number_valid = int(valid.sum())
+    refuted &= ~truth.mixed
+    valid = field.valid.values & ~truth.mixed & ~refuted
+    number_valid, number_refuted = int(valid.sum()), int(refuted.sum())
     if not number_valid:
-        return Result(*known, "refused" if scene.hopeless else "lost", "", *counts, seconds=seconds)
+        outcome = "refused" if scene.hopeless else "lost"
+        return Result(*known, outcome, "", *counts, refuted=number_refuted, seconds=seconds)
     truth = repeated_truth(scene, truth, field)
     errors = [field[f"displacement_{axis}"].values - getattr(truth, axis) for axis in "xy"]
     scores = [error / field[f"sigma_{axis}"].values for axis, error in zip("xy", errors, strict=True)]
@@ -161,10 +175,12 @@ def measure(number: int) -> Result:
         "",
         *counts,
         number_valid,
+        number_refuted,
+        int(np.count_nonzero(refuted & measurable & (score <= RIGHT))),
         found,
         within,
         int(wrong.sum()),
-        count_confirmed(pair, field, wrong),
+        count_confirmed(closure, wrong),
         float(np.sqrt(np.mean(np.square(scores)[:, valid]))),
         seconds,
     )
@@ -187,10 +203,7 @@ def judge_result(scene: Scene, valid: float, found: float, within: float) -> str
     return "right" if found >= FOUND or scene.hopeless else "lost"
 
 
-def count_confirmed(pair: Pair, field: xr.Dataset, wrong: np.ndarray) -> int:
+def count_confirmed(closure: xr.Dataset, wrong: np.ndarray) -> int:
     """Return how many wrong points the closure confirms."""
-    if not wrong.any():
-        return 0
-    closure = displacement_closure(pair.reference.astype(np.float32), pair.deformed.astype(np.float32), field)
     small = np.abs(closure.closure_x.values) <= CONFIRMED, np.abs(closure.closure_y.values) <= CONFIRMED
     return int(np.count_nonzero(wrong & small[0] & small[1]))

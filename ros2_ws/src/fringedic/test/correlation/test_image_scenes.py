@@ -175,7 +175,14 @@ def test_a_displacement_by_whole_periods_is_right_if_the_result_states_them(latt
     there = scene.view.layers[0].motion.forward(x + period[0], y + period[1])
     field["displacement_x"].values[:], field["displacement_y"].values[:] = there[0] - x, there[1] - y
     assert repeated_truth(scene, truth, field) is truth
-    for stated, right in ((scene.lattice, True), (scene.lattice[::-1], True), (0.6 * scene.lattice, False)):
+    for stated, right in (
+        (scene.lattice, True),
+        (scene.lattice[::-1], True),
+        (scene.lattice[0] - 2 * scene.lattice[1], True),  # one direction alone
+        (scene.lattice[0], False),
+        (2 * scene.lattice, False),
+        (0.6 * scene.lattice, False),
+    ):
         found = repeated_truth(scene, truth, field.assign_attrs(repeats_px=stated.ravel().tolist()))
         assert (np.abs(found.x - field.displacement_x.values).max() < 1e-6) == right
 
@@ -195,3 +202,23 @@ def test_outcomes_follow_from_the_shares_of_the_points():
     assert judge_refusal(scene, nowhere, "the texture is too faint") == "refused"
     assert judge_refusal(stripes, everywhere, "the texture has one direction") == "refused"
     assert judge_refusal(stripes, everywhere, "the images do not correlate") == "other reason"
+
+
+def test_points_that_the_closure_refutes_are_not_valid(monkeypatch: pytest.MonkeyPatch):
+    """Scene 5 is measured, then an object covers a square of its deformed image."""
+    from image_scenes import outcomes
+    from image_scenes.scenes import Scene
+
+    scene = Scene.random(5)
+    pair, truth = scene.render(), scene.view.truth(outcomes.SPACING)
+    field = outcomes.measure_displacement(pair.reference, pair.deformed, window=32, spacing=4)
+    inside = field.valid.values & truth.visible
+    row, column = (int(np.median(each)) for each in np.nonzero(inside))
+    to = [int(each) for each in (4 * row + truth.y[row, column], 4 * column + truth.x[row, column])]
+    pair.deformed[to[0] - 40 : to[0] + 40, to[1] - 40 : to[1] + 40] = 250
+    monkeypatch.setattr(Scene, "render", lambda _: pair)
+    monkeypatch.setattr(outcomes, "measure_displacement", lambda *_, **__: field)
+    result = outcomes.measure(5)
+    assert result.refuted > 100
+    assert result.valid + result.refuted == field.valid.values.sum()
+    assert result.needless > 0.9 * result.refuted
