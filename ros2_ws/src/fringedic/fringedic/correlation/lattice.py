@@ -116,7 +116,7 @@ def _autocorrelate(image: np.ndarray) -> np.ndarray:
     flat = np.where(known, image, f4(0))
     around = (_SHADING, _SHADING)
     flat = np.where(known, flat - cv2.blur(flat, around), f4(0))
-    contrast = np.sqrt(cv2.blur(flat * flat, around))
+    contrast = np.sqrt(np.maximum(cv2.blur(flat * flat, around), 0))  # sums of rounded values are below 0 at borders
     flat /= np.maximum(contrast, f4(_LEAST_CONTRAST) * contrast.max() + f4(1e-12))
     taper = _taper(image.shape)
     overlap = _taper_overlap(image.shape) if known.all() else _correlate(taper * known)
