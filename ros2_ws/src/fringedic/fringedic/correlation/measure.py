@@ -127,7 +127,14 @@ def measure_displacement(
     xarray.Dataset
         `displacement_x` (to the right), `displacement_y` (down) [px], their standard uncertainties `sigma_x`, `sigma_y`
         [px], float32, and `valid`, bool, over (row, column), whose coordinates are pixel positions in the reference.
-        NaN where not valid. Attributes `method`, `window_px`, `spacing_px`.
+        NaN where not valid. Attributes `method`, `window_px`, `spacing_px`; of the dense method also, where they apply:
+
+        - `motions`, `unmatched_fraction`: number of motions of the image, if texture wider than a window was left by
+          the first one, and the share of the texture (0 to 1) that none of them explains.
+        - `repeats_px`: (x, y) of each vector after which a periodic texture repeats, in one list, if its irregularities
+          do not decide: the displacement is then known up to sums of multiples of these vectors.
+        - `binning_px`: side of the blocks of pixels that were averaged, because the texture is coarse and faint;
+          `window_px` is then as many times wider than `window`.
 
     Raises
     ------

@@ -32,6 +32,10 @@ class SettingsProblem(Enum):
     """Value: measured noise of the displacement; limit: the one that image noise explains [px]."""
     MOVED = auto()
     """Value: mean displacement; limit: the one that noise allows [px]."""
+    PERIODIC = auto()
+    """Value: shortest distance after which the texture repeats; limit: largest displacement that is unique [px]."""
+    FAINT = auto()
+    """Value and limit: gradient energy over that of noise alone, in the median window."""
 
 
 class SettingsWarning(NamedTuple):
@@ -78,7 +82,11 @@ class Advice:
     mean_gradient
         Mean magnitude of the intensity gradient [grey level / px].
     window, spacing, strain_window
-        Recommended subset [px] and step size [px], and the width of the strain window in points.
+        Recommended window [px] and step size [px] as `measure_displacement` takes them, and the width of the strain
+        window in points.
+    binning
+        Side of the blocks [px] that `measure_displacement` averages because the texture is coarse and faint; 1 for
+        none. The window is `binning` times as wide in the image.
     period
         Shortest period of a displacement wave that keeps 90 % of its amplitude [px].
     noise, noise_predicted, noise_temporal, bias
@@ -110,6 +118,7 @@ class Advice:
     window: int
     spacing: int
     strain_window: int
+    binning: int
     period: float
     noise: tuple[float, float]
     noise_predicted: tuple[float, float]
@@ -123,9 +132,14 @@ class Advice:
     warnings: tuple[SettingsWarning, ...]
 
     @property
+    def subset(self) -> int:
+        """Width of the subset in the image [px]."""
+        return self.window * self.binning
+
+    @property
     def gauge_length(self) -> float:
         """Virtual strain gauge L_VSG = (L_window - 1) L_step + L_subset [px]."""
-        return (self.strain_window - 1) * self.spacing + self.window
+        return (self.strain_window - 1) * self.spacing + self.subset
 
     @property
     def options(self) -> str:

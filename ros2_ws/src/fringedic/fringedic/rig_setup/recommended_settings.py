@@ -16,11 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from fringedic.correlation import Reference, measure_displacement
+from fringedic.correlation.images import SMALLEST_WINDOW
+from fringedic.correlation.prepared import FAINT, Prepared, texture_over_noise
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
 from fringedic.evaluation.noise_floor import NoiseFloor, noise_floor
-from fringedic.rig_setup.advice import Advice
-from fringedic.rig_setup.settings_warnings import image_warnings
+from fringedic.rig_setup.advice import Advice, SettingsWarning
+from fringedic.rig_setup.settings_warnings import image_warnings, texture_warnings
 from fringedic.rig_setup.static_images import StaticImages, describe_images
 from fringedic.rig_setup.window_choice import FIRST_WINDOW, WindowRequest, choose_window
 from fringedic.wording.arguments import check_arguments, number, optional, whole
@@ -37,8 +39,13 @@ LARGEST_STRAIN_WINDOW = 1001  # [points], as in CouplingParameters
 
 @dataclass(frozen=True)
 class _Floors:
-    """Noise floors of the displacement [px] as (x, y) and of the strain at one setting."""
+    """Noise floors of the displacement [px] as (x, y) and of the strain at one setting.
 
+    `subset` is the width of the window in the image [px], `binning` the side of the blocks that were averaged [px].
+    """
+
+    subset: int
+    binning: int
     spatial: tuple[float, float]
     predicted: tuple[float, float]
     temporal: tuple[float, float]
@@ -103,7 +110,8 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
     ImageError
         An image or the mask is invalid, or the sizes differ.
     CorrelationError
-        The images do not show the same surface, or are too small to be correlated.
+        The images do not show the same surface, its texture does not stand out from the noise, or the images are too
+        small to be correlated.
 
     References
     ----------
@@ -133,13 +141,20 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
     figures = describe_images(images, full_scale)
 
     limit = min(images.shape) // 2
-    first = min(FIRST_WINDOW, limit)
-    known = _noise_floors(images, first, strain_window)
-    noise_scale = (first - 1) * max(known.predicted)
-    window, warnings = choose_window(
-        request, noise_scale=noise_scale, feature_size=max(figures.feature_size), widest=limit
+    known, prepared = _measure_first(images, min(FIRST_WINDOW, limit), strain_window)
+    noise_scale = (known.subset - 1) * max(known.predicted)
+    subset, warnings = choose_window(
+        request,
+        noise_scale=noise_scale,
+        feature_size=max(figures.feature_size),
+        widest=limit,
+        binning=known.binning,
     )
-    floors = _noise_floors(images, window, strain_window)
+    window, spacing = subset // known.binning, _spacing(subset)
+    floors = _noise_floors(images, _reference(images, window, spacing), strain_window)
+    if floors.binning < known.binning:  # this window measures enough points without averaging, but is too narrow
+        window = subset
+        floors = _noise_floors(images, _reference(images, window, spacing), strain_window)
     advice = Advice(
         shape=images.shape,
         full_scale=figures.full_scale,
@@ -153,9 +168,10 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
         feature_size=figures.feature_size,
         mean_gradient=figures.mean_gradient,
         window=window,
-        spacing=_spacing(window),
+        spacing=spacing,
         strain_window=int(strain_window),
-        period=shortest_period(window),
+        binning=floors.binning,
+        period=shortest_period(floors.subset),
         noise=floors.spatial,
         noise_predicted=floors.predicted,
         noise_temporal=floors.temporal,
@@ -172,19 +188,47 @@ def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyw
         wanted_noise=wanted_noise,
         wanted_period=wanted_period,
         pixel_size=pixel_size,
-        table=tuple((w, noise_scale / (w - 1), shortest_period(w)) for w in TABLE_WINDOWS if w <= limit),
+        table=tuple(
+            (width, noise_scale / (width - 1), shortest_period(width))
+            for width in TABLE_WINDOWS
+            if SMALLEST_WINDOW * known.binning <= width <= limit
+        ),
     )
-    return replace(advice, warnings=(*warnings, *image_warnings(advice)))
+    return replace(advice, warnings=(*warnings, *_warn_of_texture(prepared), *image_warnings(advice)))
 
 
 def _spacing(window: int) -> int:
     return max(window // STEPS_PER_SUBSET, 1)
 
 
-def _noise_floors(images: StaticImages, window: int, strain_window: int) -> _Floors:
+def _reference(images: StaticImages, window: int, spacing: int) -> Reference:
+    return Reference(images.stored[0], window=window, spacing=spacing, mask=images.mask)
+
+
+def _measure_first(images: StaticImages, window: int, strain_window: int) -> tuple[_Floors, Prepared]:
+    """Measure with a window, or with a narrower one if too few of the averaged pixels of a faint texture remain."""
+    reference = _reference(images, window, _spacing(window))
+    try:
+        return _noise_floors(images, reference, strain_window), reference.prepared
+    except CorrelationError as error:
+        faint = error.code is ErrorCode.NO_CORRELATION and texture_over_noise(reference.prepared.levels[0]) <= FAINT
+        if not faint or window // 2 < SMALLEST_WINDOW:
+            raise
+    return _measure_first(images, window // 2, strain_window)
+
+
+def _warn_of_texture(prepared: Prepared) -> list[SettingsWarning]:
+    """Return warnings of a periodic texture, and of one that is faint where pixels are not averaged.
+
+    The gradient energy alone does not tell a faint texture from a specimen before a plain background.
+    """
+    period = math.nan if prepared.lattice is None else prepared.lattice.shortest
+    contrast = math.nan if prepared.binned() is None else texture_over_noise(prepared.levels[0])
+    return texture_warnings(period, contrast, FAINT)
+
+
+def _noise_floors(images: StaticImages, reference: Reference, strain_window: int) -> _Floors:
     """Measure both static images against the reference."""
-    spacing = _spacing(window)
-    reference = Reference(images.stored[0], window=window, spacing=spacing, mask=images.mask)
     results = [measure_displacement(reference, image) for image in images.stored[1:]]
     x, y = (
         _floor(
@@ -195,11 +239,13 @@ def _noise_floors(images: StaticImages, window: int, strain_window: int) -> _Flo
         for axis in "xy"
     )
     return _Floors(
+        subset=max(field.attrs["window_px"] for field in results),
+        binning=max(field.attrs.get("binning_px", 1) for field in results),
         spatial=(x.spatial, y.spatial),
         predicted=(x.predicted, y.predicted),
         temporal=(x.temporal, y.temporal),
         bias=(x.bias, y.bias),
-        strain=strain_noise(results, spacing, strain_window),
+        strain=strain_noise(results, reference.spacing, strain_window),
     )
 
 

@@ -53,11 +53,12 @@ def _settings(advice: Advice) -> list[tuple[str, str]]:
             "" if advice.pixel_size is None else f" ({1e3 * advice.pixel_size * pixels:.3g} mm)"
         )
 
-    features = advice.window / math.sqrt(advice.feature_size[0] * advice.feature_size[1])
+    features = advice.subset / math.sqrt(advice.feature_size[0] * advice.feature_size[1])
+    binned = "" if advice.binning == 1 else f"{advice.window} px with binning by {advice.binning}: "
     strain_window = (advice.strain_window - 1) * advice.spacing + 1
     return [
         ("", "Settings"),
-        ("window (width of the subset)", f"{length(advice.window)}, {features:.1f} features"),
+        ("window (width of the subset)", f"{binned}{length(advice.subset)}, {features:.1f} features"),
         ("spacing (of the points)", length(advice.spacing)),
         ("spatial resolution", f"{length(advice.period)}: shortest period that keeps 90 % of its amplitude"),
         ("strain window", f"{strain_window} px ({advice.strain_window} points)"),
@@ -124,6 +125,25 @@ def _excess_noise(warning: SettingsWarning, _: Advice) -> str:
     )
 
 
+def _periodic(warning: SettingsWarning, advice: Advice) -> str:
+    size = "" if advice.pixel_size is None else f" ({1e3 * advice.pixel_size * warning.value:.3g} mm)"
+    return (
+        f"the texture repeats every {warning.value:.1f} px{size}: a displacement of more than {warning.limit:.1f} px "
+        "between two images is known up to multiples of it unless irregularities of the texture decide; add a random "
+        "pattern, or take images in small steps"
+    )
+
+
+def _faint(warning: SettingsWarning, advice: Advice) -> str:
+    cause = f"with a gradient energy of only {warning.value:.1f} times that of noise, the texture is faint"
+    if advice.binning == 1:
+        return f"{cause}, and fewer points are measured: use more light, finer features, a larger window or binning"
+    return (
+        f"{cause}: blocks of {advice.binning} x {advice.binning} px are averaged, and a window of {advice.window} px is "
+        f"a subset of {advice.subset} px; more light or finer features allow a narrower one"
+    )
+
+
 _SENTENCES: dict[SettingsProblem, Callable[[SettingsWarning, Advice], str]] = {
     SettingsProblem.NOISE_OUT_OF_REACH: _noise_out_of_reach,
     SettingsProblem.PERIOD_TOO_FEW_FEATURES: _period_too_few_features,
@@ -146,6 +166,8 @@ _SENTENCES: dict[SettingsProblem, Callable[[SettingsWarning, Advice], str]] = {
     SettingsProblem.MOVED: lambda warning, _: (
         f"the specimen or the camera has moved by {warning.value:.2g} px: the images are not static"
     ),
+    SettingsProblem.PERIODIC: _periodic,
+    SettingsProblem.FAINT: _faint,
 }
 
 

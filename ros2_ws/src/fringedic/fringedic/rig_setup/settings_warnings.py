@@ -17,6 +17,26 @@ MOST_MOTION = 5.0  # mean displacement over its noise
 SMALLEST_NOISE = 0.002  # [px], for the comparison with the mean displacement
 
 
+def texture_warnings(period: float, energy: float, faint: float) -> list[SettingsWarning]:
+    """Return what is wrong with the texture of a reference.
+
+    Parameters
+    ----------
+    period
+        Shortest distance after which it repeats [px]; NaN where it does not.
+    energy
+        Gradient energy over that of noise alone; NaN of a texture that is not both coarse and faint.
+    faint
+        Energy up to which a texture counts as faint.
+    """
+    found = []
+    if math.isfinite(period):
+        found.append(SettingsWarning(SettingsProblem.PERIODIC, period, period / 2))
+    if energy <= faint:
+        found.append(SettingsWarning(SettingsProblem.FAINT, energy, faint))
+    return found
+
+
 def image_warnings(advice: Advice) -> list[SettingsWarning]:
     """Return what good practice finds wrong with the images."""
     found = []

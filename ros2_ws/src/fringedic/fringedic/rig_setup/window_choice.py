@@ -33,9 +33,9 @@ class WindowRequest:
 
 
 def choose_window(
-    request: WindowRequest, *, noise_scale: float, feature_size: float, widest: int
+    request: WindowRequest, *, noise_scale: float, feature_size: float, widest: int, binning: int = 1
 ) -> tuple[int, list[SettingsWarning]]:
-    """Return the recommended window [px], and warnings about requests that it does not fulfil.
+    """Return the recommended width of the subset [px], and warnings about requests that it does not fulfil.
 
     Parameters
     ----------
@@ -46,17 +46,20 @@ def choose_window(
     feature_size
         Larger of the feature sizes in both directions [px]; NaN where not known.
     widest
-        Widest window that the images allow [px].
+        Widest subset that the images allow [px].
+    binning
+        Side of the blocks whose mean is a pixel of the window [px]; the subset consists of whole blocks.
     """
-    fewest = max(SMALLEST_WINDOW, _width_of(FEWEST_FEATURES, feature_size))
-    widest = min(widest, WIDEST_WINDOW)
+    fewest = _whole_blocks(max(SMALLEST_WINDOW * binning, _width_of(FEWEST_FEATURES, feature_size)), binning)
+    widest = min(widest // binning, WIDEST_WINDOW) * binning
     period_per_width = shortest_period(FIRST_WINDOW) / (FIRST_WINDOW - 1)
     if request.noise is not None:
-        wanted = 1 + math.ceil(noise_scale / request.noise)
+        wanted = _whole_blocks(1 + math.ceil(noise_scale / request.noise), binning)
     elif request.period is not None:
-        wanted = 1 + math.floor(request.period / period_per_width)
+        wanted = (1 + math.floor(request.period / period_per_width)) // binning * binning
     else:
-        wanted = max(fewest, 2 * SMALLEST_WINDOW, _width_of(USUAL_FEATURES, feature_size))
+        usual = max(2 * SMALLEST_WINDOW, _width_of(USUAL_FEATURES, feature_size))
+        wanted = max(fewest, _whole_blocks(usual, binning))
     window = min(max(wanted, fewest), widest)
 
     warnings = []
@@ -69,6 +72,11 @@ def choose_window(
         else:
             warnings.append(SettingsWarning(SettingsProblem.PERIOD_TOO_FEW_FEATURES, request.period, FEWEST_FEATURES))
     return window, warnings
+
+
+def _whole_blocks(width: int, binning: int) -> int:
+    """Return the narrowest width of whole blocks that is at least as wide [px]."""
+    return -(-width // binning) * binning
 
 
 def _width_of(features: int, feature_size: float) -> int:

@@ -153,6 +153,51 @@ def test_motion_is_reported(speckle, grey, expose):
     assert problems(drifted)[SettingsProblem.MOVED].value == pytest.approx(np.hypot(0.3, 0.1), abs=0.005)
 
 
+def test_a_periodic_texture_is_reported(expose):
+    y, x = np.mgrid[:240, :320]
+    weave = 2048 + 500 * (np.cos(2 * np.pi * x / 12) + np.cos(2 * np.pi * y / 12))
+    advice = fringedic.advise_settings(*(expose(weave, 12, k) for k in range(3)))
+    periodic = problems(advice)[SettingsProblem.PERIODIC]
+    assert periodic.value == pytest.approx(12, abs=0.01)
+    assert periodic.limit == periodic.value / 2
+    assert SettingsProblem.FAINT not in problems(advice)
+
+
+@pytest.mark.parametrize(("noise", "binning"), [(0.6, 4), (0.35, 4), (0.15, 2)])
+def test_a_coarse_and_faint_texture_is_reported(speckle, expose, noise, binning):
+    """Noise in units of the contrast. The settings give the stated noise in other images."""
+    grey = 2048 + 0.5 * (speckle((240, 320), 21, radius=6.0).grey() - 2048)
+    images = [expose(grey, noise * 307, k) for k in range(5)]
+    advice = fringedic.advise_settings(*images[:3], wanted_period=70)
+    faint = problems(advice)[SettingsProblem.FAINT]
+    assert 1 <= faint.value < faint.limit
+    assert advice.binning == binning
+    assert advice.period <= 70
+    field = fringedic.measure_displacement(*images[3:], window=advice.window, spacing=advice.spacing)
+    assert field.attrs["window_px"] == advice.subset
+    found = float(field.displacement_x.std()), float(field.displacement_y.std())
+    assert np.hypot(*advice.noise) == pytest.approx(np.hypot(*found), rel=0.25)
+    assert advice.noise_predicted == pytest.approx(advice.noise, rel=0.25)
+
+
+def test_a_window_that_needs_no_averaging_is_as_wide_as_requested(speckle, expose):
+    """The first window averages pixels, the recommended one measures enough points without."""
+    grey = 2048 + 0.5 * (speckle((240, 320), 21, radius=6.0).grey() - 2048)
+    images = [expose(grey, 0.09 * 307, k) for k in range(3)]
+    advice = fringedic.advise_settings(*images)
+    field = fringedic.measure_displacement(*images[:2], window=advice.window, spacing=advice.spacing)
+    assert field.attrs["window_px"] == advice.subset == advice.window
+    assert advice.subset > 4.9 * max(advice.feature_size)
+    assert SettingsProblem.FAINT in problems(advice)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_normal_texture_is_neither_periodic_nor_faint(speckle, expose, seed):
+    grey = speckle((240, 320), seed, radius=(1.0, 1.4, 2.0)[seed % 3]).grey()
+    found = problems(fringedic.advise_settings(*(expose(grey, 31, k) for k in range(3))))
+    assert not {SettingsProblem.PERIODIC, SettingsProblem.FAINT} & set(found)
+
+
 def test_the_scale_of_the_grey_levels_does_not_matter(grey, expose):
     left_aligned = fringedic.advise_settings(*(16 * expose(grey, 31, k) for k in range(3)))
     assert left_aligned.quantisation == 16

@@ -30,6 +30,7 @@ ADVICE = Advice(
     window=40,
     spacing=10,
     strain_window=5,
+    binning=1,
     period=44.0,
     noise=(0.0094, 0.0091),
     noise_predicted=(0.0095, 0.0092),
@@ -94,10 +95,21 @@ def test_settings_without_pixel_size_and_full_scale() -> None:
         (SettingsProblem.QUANTISED, 0.2, 0.5, "less than half a grey level"),
         (SettingsProblem.EXCESS_NOISE, 0.03, 0.01, "scatters by 0.03 px, image noise explains 0.01 px"),
         (SettingsProblem.MOVED, 0.3, 0.05, "moved by 0.3 px: the images are not static"),
+        (SettingsProblem.PERIODIC, 12, 6, "repeats every 12.0 px (0.6 mm): a displacement of more than 6.0 px between"),
+        (SettingsProblem.FAINT, 2.34, 3, "only 2.3 times that of noise, the texture is faint, and fewer points are"),
     ],
 )
 def test_each_warning_has_a_sentence(problem: SettingsProblem, value: float, limit: float, words: str) -> None:
     assert words in warning_sentence(SettingsWarning(problem, value, limit), ADVICE)
+
+
+def test_sentences_of_averaged_pixels() -> None:
+    binned = dataclasses.replace(ADVICE, window=10, binning=4)
+    assert "(width of the subset) 10 px with binning by 4: 40 px (2 mm), 8.5 features" in settings_report(binned)
+    assert "virtual strain gauge         80 px" in settings_report(binned)
+    assert "measure ... --window 10 --spacing 10" in settings_report(binned)
+    sentence = warning_sentence(SettingsWarning(SettingsProblem.FAINT, 1.1, 3), binned)
+    assert "blocks of 4 x 4 px are averaged, and a window of 10 px is a subset of 40 px" in sentence
 
 
 def test_timing_of_pulsing_light() -> None:
