@@ -27,6 +27,9 @@ PERIODIC = 0.6
 WIDEST = 512  # [px] of the part, or of the level, in which repetitions are sought
 _SHADING = 65  # [px], width of the local mean and contrast, which do not count as texture
 _LEAST_CONTRAST = 0.1  # of the largest one; with less an image is noise
+# Of the autocorrelation at a repetition, below which it falls before it: to 0.45 in grids and perforated plates. Along
+# straight edges it has maxima without falling. test_straight_edges_are_no_repetition
+_DIP = 0.75
 SMALLEST_PERIOD = 3.0  # [px], with less the samples of a period do not tell where it is
 SAMPLES = 4.0  # [px of a level] per period, below which the halves of an image show a moire instead of the texture
 _SMALLEST_ANGLE = np.sin(np.deg2rad(20))  # between both vectors
@@ -34,6 +37,7 @@ _PROPOSED = 4  # displacements that the correlation of what is not periodic prop
 # Standard errors by which a displacement has to be better than another one; test_random_part_decides: a false choice
 # once in 10^9 for normal distributions, and in 10^5 with the few blocks of a small image.
 DECIDED = 6.0
+DECIDED_PART = 0.1  # of the variance of what is not periodic; errors of interpolation repeat too, without noise
 _BLOCK = 32  # [px]: blocks whose products are independent of each other
 _FEWEST_BLOCKS = 12
 
@@ -152,6 +156,7 @@ def _find_vectors(image: np.ndarray) -> np.ndarray | None:
     inside = (np.abs(away) < centre).all(axis=1)  # an interpolation needs the neighbours
     length = np.hypot(*away.T)
     away = away[inside & (length >= SMALLEST_PERIOD)]
+    away = away[[_falls_between(surface, vector) for vector in away]] if len(away) else away
     away = away[np.argsort(np.hypot(*away.T), kind="stable")]
     if not len(away):
         return None
@@ -160,6 +165,14 @@ def _find_vectors(image: np.ndarray) -> np.ndarray | None:
     apart = across > _SMALLEST_ANGLE * np.hypot(*first) * np.hypot(*away.T)
     chosen = [first, away[apart][0]] if apart.any() else [first]
     return np.array([_refine(surface, vector)[::-1] for vector in chosen])
+
+
+def _falls_between(surface: np.ndarray, vector: np.ndarray) -> bool:
+    """Return whether the autocorrelation is clearly lower on the way to a maximum at a vector (y, x) than there."""
+    centre = np.array(surface.shape) // 2
+    steps = np.linspace(0, 1, int(np.abs(vector).max()) + 1)
+    way = surface[tuple(np.rint(centre[:, None] + np.outer(vector, steps)).astype(int))]
+    return bool(way.min() < _DIP * way[-1])
 
 
 def _refine(surface: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -203,7 +216,7 @@ def choose_displacement(
 
     What is not periodic in the reference is its difference from the mean of its repetitions. The displacement with
     which the deformed image contains most of it is compared with the most welcome one, block by block: it is taken
-    where the difference of the products exceeds its standard error `DECIDED` times.
+    where the difference of the products exceeds its standard error `DECIDED` times, and a part of their variance.
 
     Parameters
     ----------
@@ -235,7 +248,8 @@ def choose_displacement(
     )
     totals = np.nansum(products, axis=1)
     best = int(np.argmax(totals))
-    equal = [index for index, each in enumerate(products) if index == best or not _exceeds(products[best] - each)]
+    least = DECIDED_PART * float(np.mean(uneven[uneven != 0] ** 2)) if uneven.any() else np.inf
+    equal = [i for i, each in enumerate(products) if i == best or not _exceeds(products[best] - each, least)]
     away = [float(np.hypot(*(moved + turned @ candidates[index]))) for index in equal]
     return Choice(candidates[equal[int(np.argmin(away))]], len(equal) == 1)
 
@@ -300,9 +314,9 @@ def _block_products(uneven: np.ndarray, rest: np.ndarray) -> np.ndarray:
     return np.where(number > _BLOCK**2 / 2, total / np.maximum(number, 1), np.nan).ravel()
 
 
-def _exceeds(differences: np.ndarray) -> bool:
-    """Return whether the mean of differences is above zero, by `DECIDED` standard errors."""
+def _exceeds(differences: np.ndarray, least: float) -> bool:
+    """Return whether the mean of differences is above a value, and above zero by `DECIDED` standard errors."""
     known = differences[np.isfinite(differences)]
     if known.size < _FEWEST_BLOCKS:
         return False
-    return bool(known.mean() > DECIDED * known.std(ddof=1) / np.sqrt(known.size))
+    return bool(known.mean() > max(least, DECIDED * known.std(ddof=1) / np.sqrt(known.size)))

@@ -527,6 +527,8 @@ def estimate_uncertainty(
             var_f = max(sums[WFF, r, c] * inverse - mean_f * mean_f, f4(0))
             speckle = _estimate_speckle_area(var_f, f4(0.5) * (xx + yy) * inverse)
             uneven = f4(UNEVEN) * speckle / (area + f4(FEWEST) * speckle)
+            # The noise of the reference adds tau to H, which is no information on the motion.
+            xx, yy = max(xx - tau, f4(1e-12)), max(yy - tau, f4(1e-12))
             variance = pixel * (f4(1) + uneven) * node_gain / max(xx * yy - xy * xy, f4(1e-30))
             out[0, r, c] = np.sqrt(variance * yy)
             out[1, r, c] = np.sqrt(variance * xx)

@@ -20,6 +20,9 @@ CLEAR = 30.0
 _NOISE_ALONE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], f4) / 6
 _MEDIAN = 1.4826  # standard deviation of a normal distribution over its median absolute value
 _AROUND = 33  # [px], width of the local means
+# Share of the windows with less energy than the one that counts: most of an image may be a plain background, and edges
+# of a specimen are few. test_plain_background_is_no_faint_texture
+_POORER = 0.8
 _STRIPES = 0.03  # largest part of the gradient energy that a texture of one direction has along its stripes
 _NOTHING_BUT_NOISE = 0.7  # standard deviations of an image, from which its noise is nearly all of it
 
@@ -34,11 +37,11 @@ class TextureNoise:
     Attributes
     ----------
     ratio
-        Gradient energy over that of noise alone, in the median window.
+        Gradient energy over that of noise alone, in a rich window.
     noise
         Standard deviation of the noise in the unit of the level.
     feature
-        Area of a feature (speckle) [px^2], in the median window.
+        Area of a feature (speckle) [px^2], in a rich window.
     across
         Smaller over larger eigenvalue of the structure tensor without the noise, in the median window with texture.
     """
@@ -65,9 +68,10 @@ class TextureNoise:
         across = float(np.median(smaller / larger)) if textured.any() else 0.0
         values = np.where(np.isfinite(level.values), level.values, f4(0))
         spread = cv2.blur(values * values, (_AROUND, _AROUND)) - cv2.blur(values, (_AROUND, _AROUND)) ** 2
-        slope = float(np.median(mean[known])) - alone
-        feature = np.pi * (float(np.median(spread[known])) - noise**2) / slope if slope > 0 else np.inf
-        return cls(float(np.median(mean[known])) / alone, noise, feature, across)
+        energy = float(np.quantile(mean[known], _POORER))
+        contrast = float(np.quantile(spread[known], _POORER)) - noise**2
+        feature = np.pi * contrast / (energy - alone) if energy > alone else np.inf
+        return cls(energy / alone, noise, feature, across)
 
     @property
     def sentence(self) -> str:

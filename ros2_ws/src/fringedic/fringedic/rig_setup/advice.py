@@ -35,7 +35,7 @@ class SettingsProblem(Enum):
     PERIODIC = auto()
     """Value: shortest distance after which the texture repeats; limit: largest displacement that is unique [px]."""
     FAINT = auto()
-    """Value and limit: gradient energy over that of noise alone, in the median window."""
+    """Value and limit: gradient energy over that of noise alone, in a rich window."""
 
 
 class SettingsWarning(NamedTuple):

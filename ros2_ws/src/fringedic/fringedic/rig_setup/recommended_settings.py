@@ -17,7 +17,8 @@ from scipy.ndimage import correlate1d
 
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.images import SMALLEST_WINDOW
-from fringedic.correlation.prepared import FAINT, Prepared, texture_over_noise
+from fringedic.correlation.prepared import Prepared
+from fringedic.correlation.texture_noise import FAINT, TextureNoise
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
 from fringedic.evaluation.noise_floor import NoiseFloor, noise_floor
@@ -211,7 +212,7 @@ def _measure_first(images: StaticImages, window: int, strain_window: int) -> tup
     try:
         return _noise_floors(images, reference, strain_window), reference.prepared
     except CorrelationError as error:
-        faint = error.code is ErrorCode.NO_CORRELATION and texture_over_noise(reference.prepared.levels[0]) <= FAINT
+        faint = error.code is ErrorCode.NO_CORRELATION and TextureNoise.of(reference.prepared.levels[0]).ratio <= FAINT
         if not faint or window // 2 < SMALLEST_WINDOW:
             raise
     return _measure_first(images, window // 2, strain_window)
@@ -223,7 +224,7 @@ def _warn_of_texture(prepared: Prepared) -> list[SettingsWarning]:
     The gradient energy alone does not tell a faint texture from a specimen before a plain background.
     """
     period = math.nan if prepared.lattice is None else prepared.lattice.shortest
-    contrast = math.nan if prepared.binned() is None else texture_over_noise(prepared.levels[0])
+    contrast = math.nan if prepared.binned() is None else TextureNoise.of(prepared.levels[0]).ratio
     return texture_warnings(period, contrast, FAINT)
 
 

@@ -139,8 +139,8 @@ def _faint(warning: SettingsWarning, advice: Advice) -> str:
     if advice.binning == 1:
         return f"{cause}, and fewer points are measured: use more light, finer features, a larger window or binning"
     return (
-        f"{cause}: blocks of {advice.binning} x {advice.binning} px are averaged, and a window of {advice.window} px is "
-        f"a subset of {advice.subset} px; more light or finer features allow a narrower one"
+        f"{cause}: blocks of {advice.binning} x {advice.binning} px are averaged, and a window of {advice.window} px "
+        f"is a subset of {advice.subset} px; more light or finer features allow a narrower one"
     )
 
 

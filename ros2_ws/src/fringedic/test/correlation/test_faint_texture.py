@@ -38,6 +38,15 @@ def test_coarse_and_faint_texture(surface, expose, noise):
     assert np.nanmax(np.abs(z)) < 6
 
 
+def test_plain_background_is_no_faint_texture(speckle, expose):
+    """Windows of the background contain noise alone; pixels of the specimen are not averaged."""
+    grey = speckle((320, 400), 0).grey()
+    grey[:, :120] = grey[:, 280:] = 300
+    field = measure_displacement(expose(grey, 31, 1), expose(grey, 31, 2), spacing=4)
+    assert "binning_px" not in field.attrs
+    assert field.valid.values[:, 35:65].mean() > 0.9
+
+
 def test_noise_alone_is_refused(expose):
     images = [expose(np.full(SHAPE, 2048.0), 300, seed) for seed in (1, 2)]
     with pytest.raises(CorrelationError) as error:

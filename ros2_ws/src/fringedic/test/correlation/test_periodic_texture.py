@@ -60,6 +60,14 @@ def test_random_texture_is_not_periodic(width):
         assert find_lattice(build_pyramid(cv2.GaussianBlur(noise, (0, 0), width) if width else noise)) is None
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_straight_edges_are_no_repetition(speckle, expose, seed):
+    """A strip before a plain background looks the same after any shift along its edges."""
+    grey = speckle((480, 1280), seed).grey()
+    grey[:, :450] = grey[:, -450:] = 300
+    assert find_lattice(build_pyramid((expose(grey, 31, seed).astype(np.float32) - 2048) / 500)) is None
+
+
 @pytest.mark.parametrize("degrees", [0.0, 17.0, 40.0])
 def test_vectors_of_a_lattice(degrees, expose):
     image = (expose(weave(X, Y, degrees), NOISE, 1).astype(np.float32) - 2048) / 500

@@ -192,8 +192,11 @@ def test_a_window_that_needs_no_averaging_is_as_wide_as_requested(speckle, expos
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_normal_texture_is_neither_periodic_nor_faint(speckle, expose, seed):
+@pytest.mark.parametrize("background", [0, 110])
+def test_a_normal_texture_is_neither_periodic_nor_faint(speckle, expose, seed, background):
+    """Also where most of the image is a plain background: its width [px] at either side."""
     grey = speckle((240, 320), seed, radius=(1.0, 1.4, 2.0)[seed % 3]).grey()
+    grey[:, :background] = grey[:, 320 - background :] = 300
     found = problems(fringedic.advise_settings(*(expose(grey, 31, k) for k in range(3))))
     assert not {SettingsProblem.PERIODIC, SettingsProblem.FAINT} & set(found)
 
