@@ -113,9 +113,10 @@ def check_agreement(agreed: int, offered: int) -> None:
 def assess(field: Field, window: Window, texture: Texture) -> Nodes:
     """Estimate the uncertainty of a finished field and decide where it is valid.
 
-    The covariance of a point is s^2 H^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with the
-    window's weights). s^2 is the local variance of the residual, corrected for the noise that interpolation averages
-    out, times the ratio of `_compare_with_white_noise`; uneven textures (few speckles per window) and one-sided windows
+    The covariance of a point is s^2 (H - H_n)^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with
+    the window's weights), where H_n is what the noise of the reference alone adds to H. s^2 is the local variance of
+    the residual, corrected for the noise that interpolation averages out, times the ratio of
+    `_compare_with_white_noise`; uneven textures (few speckles per window) and one-sided windows
     (`_estimate_truncation`) add to it. A point is valid where at least half of its window is seen and has texture
     beyond that of noise alone, where a third of its neighbourhood agrees (a window that extends over a border also
     contains the motion of the other side) and has a third of its gradient energy, and where f and g correlate. Without

@@ -89,7 +89,9 @@ def measure_points(
         return binned
     wanted = np.isfinite(reference.values[::spacing, ::spacing])
     if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(wanted):
-        return _measure_binned(reference, deformed, photometry, start, spacing) or points
+        binned = _measure_binned(reference, deformed, photometry, start, spacing)
+        if binned is not None and np.count_nonzero(binned.valid) > np.count_nonzero(points.valid):
+            return binned
     return points
 
 

@@ -23,7 +23,7 @@ _AROUND = 33  # [px], width of the local means
 # Share of the windows with less energy than the one that counts: most of an image may be a plain background, and edges
 # of a specimen are few. test_plain_background_is_no_faint_texture
 _POORER = 0.8
-_STRIPES = 0.03  # largest part of the gradient energy that a texture of one direction has along its stripes
+_STRIPES = 0.1  # largest part of the gradient energy that a texture of one direction has along its stripes
 _NOTHING_BUT_NOISE = 0.7  # standard deviations of an image, from which its noise is nearly all of it
 
 

@@ -212,8 +212,10 @@ class DisplacementTracker:
         found = None if predicted is None else self._attempt(link, texture, predicted)
         if found is None:
             return self._measure(link, texture)
-        # Of a periodic texture, a start without a prediction would lose the count of the repetitions.
-        if found[1] >= TURNED * self._expected or "repeats_px" in found[0].attrs:
+        # A wrong prediction leaves the motion to be found as another one beside it. Of a periodic texture, a start
+        # without a prediction would lose the count of the repetitions.
+        agrees = found[1] >= TURNED * self._expected and found[0].attrs.get("motions", 1) == 1
+        if agrees or "repeats_px" in found[0].attrs:
             return found
         anew = self._attempt(link, texture)
         best = found if anew is None or anew[1] < found[1] else anew

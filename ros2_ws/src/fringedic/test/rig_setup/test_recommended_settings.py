@@ -182,7 +182,7 @@ def test_a_coarse_and_faint_texture_is_reported(speckle, expose, noise, binning)
 
 def test_a_window_that_needs_no_averaging_is_as_wide_as_requested(speckle, expose):
     """The first window averages pixels, the recommended one measures enough points without."""
-    grey = 2048 + 0.5 * (speckle((240, 320), 21, radius=6.0).grey() - 2048)
+    grey = 2048 + 0.5 * (speckle((360, 480), 21, radius=6.0).grey() - 2048)
     images = [expose(grey, 0.09 * 307, k) for k in range(3)]
     advice = fringedic.advise_settings(*images)
     field = fringedic.measure_displacement(*images[:2], window=advice.window, spacing=advice.spacing)

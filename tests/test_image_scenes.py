@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 import fringedic.correlation.closure  # noqa: F401 (its first import changes the environment: not inside of a test)
 
-BENCHMARKS = Path(__file__).resolve().parents[5] / "benchmarks"
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 # plain, two with a part, an occluder, a crack across the image, a crack with a tip
 SCENES = (5, 1, 6, 8, 11, 56)
 
