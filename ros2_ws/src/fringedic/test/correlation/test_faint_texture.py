@@ -52,3 +52,14 @@ def test_noise_alone_is_refused(expose):
     with pytest.raises(CorrelationError) as error:
         measure_displacement(*images, spacing=4)
     assert error.value.code is ErrorCode.NO_CORRELATION
+
+
+def test_noise_of_the_reference_is_no_texture(speckle, expose):
+    """A third of the gradients of the reference is noise, whose energy would make sigma too small (z-scores of 1.2)."""
+    surface = speckle((240, 320), 22, radius=2.5)
+    motion = lambda x, y: (3.25 + 0 * x, -1.5 + 0 * y)  # noqa: E731
+    images = [expose(surface.grey(), 0.2 * CONTRAST, 1), expose(surface.grey(motion), 0.2 * CONTRAST, 2)]
+    field = measure_displacement(*images)
+    z = np.stack([(field.displacement_x - 3.25) / field.sigma_x, (field.displacement_y + 1.5) / field.sigma_y])
+    assert "binning_px" not in field.attrs
+    assert 0.85 < np.sqrt(np.nanmean(z**2)) < 1.1
