@@ -15,6 +15,7 @@ from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
 
+REFUSED = "the deformed image does not correlate with the reference"
 NOISE_GAIN = tabulate_noise_gain()
 # Smallest adjusted coefficient of determination of a valid point, and smallest share of the textured windows that has
 # to agree; test_another_scene_is_refused_by_every_window and test_patch_that_changed.
@@ -103,7 +104,7 @@ def check_agreement(agreed: int, offered: int) -> None:
     """
     if agreed <= SMALLEST_AGREEMENT * offered:
         raise CorrelationError(
-            f"the deformed image does not correlate with the reference: {agreed} of {offered} windows with texture "
+            f"{REFUSED}: {agreed} of {offered} windows with texture "
             "agree. Check that both show the same surface, in focus, and that it has not left the image; take more "
             "images in between if it changes much",
             code=ErrorCode.NO_CORRELATION,

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.fft
 from scipy.ndimage import maximum_filter
 
-from fringedic.correlation.pyramid import remove_shading
+from fringedic.correlation.pyramid import find_level, remove_shading
 
 f4 = np.float32
 
@@ -96,7 +96,7 @@ def find_lattice(images: list[np.ndarray]) -> Lattice | None:
     Lattice or None
         None where less than three fifths of its variance repeat.
     """
-    level = next((k for k, image in enumerate(images) if max(image.shape) <= WIDEST), len(images) - 1)
+    level = find_level(images, WIDEST)
     for k in (0, level) if level else (0,):
         rows, columns = ((n - min(n, WIDEST)) // 2 for n in images[k].shape)
         part = images[k][rows : rows + WIDEST, columns : columns + WIDEST]

@@ -17,7 +17,6 @@ from fringedic.correlation.agreement import Nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.prepared import Prepared
 from fringedic.correlation.pyramid import locate_nodes, remove_shading
-from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
 
@@ -68,14 +67,10 @@ def measure_other_motions(
         reference = reference.without(measured)
         if not fill_a_window(reference, find_unmatched(reference, nodes)) or not np.isfinite(left).any():
             return
-        try:
-            nodes = reference.measure(left, photometry)
-        except CorrelationError as error:
-            if error.code is not ErrorCode.NO_CORRELATION:
-                raise
+        found = reference.attempt(left, photometry)
+        if found is None or not fill_a_window(reference, keep_wide(reference, found.valid)):
             return
-        if not fill_a_window(reference, keep_wide(reference, nodes.valid)):
-            return
+        nodes = found
         yield nodes
 
 
@@ -101,20 +96,17 @@ def separate(
     list of (Nodes, ndarray)
         The motions, each with the pixels (row, column) bool at which no other one explains the images as well.
     """
-    fields, residuals = _compare(reference, deformed, motions)
+    flat = remove_shading(reference.values), remove_shading(deformed)
+    fields, residuals = _compare(reference, flat, motions)
     owner = _find_owners(fields, residuals)
     taken = [_find_taken(reference, nodes, owner == i) for i, nodes in enumerate(motions)]
     apart = []
     for i, nodes in enumerate(motions):
         others = np.any([each for j, each in enumerate(taken) if j != i], axis=0) & ~taken[i]
         own = reference.without((owner >= 0) & (owner != i))
-        try:
-            nodes = own.measure(np.where(others, f4(np.nan), deformed), photometry, nodes.displacement)
-        except CorrelationError as error:
-            if error.code is not ErrorCode.NO_CORRELATION:
-                raise
-        apart.append(nodes)
-    fields, residuals = _compare(reference, deformed, apart)
+        left = np.where(others, f4(np.nan), deformed)
+        apart.append(own.attempt(left, photometry, nodes.displacement) or nodes)
+    fields, residuals = _compare(reference, flat, apart)
     return [(nodes, _prevails(i, fields, residuals)) for i, nodes in enumerate(apart)]
 
 
@@ -137,15 +129,17 @@ def _prevails(i: int, fields: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     return np.asarray(held)
 
 
-def _compare(reference: Prepared, deformed: np.ndarray, motions: list[Nodes]) -> tuple[np.ndarray, np.ndarray]:
+def _compare(
+    reference: Prepared, flat: tuple[np.ndarray, np.ndarray], motions: list[Nodes]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacement (motion, 2, row, column) of all motions and their local squared residuals.
 
-    The residual (motion, row, column) is infinite further than a window from the points of a motion.
+    The residual (motion, row, column) is infinite further than a window from the points of a motion. `flat` are both
+    images without their shading.
     """
-    first, second = remove_shading(reference.values), remove_shading(deformed)
     fields = np.array([reference.at_pixels(each.displacement) for each in motions])
     residuals = [
-        np.where(_widen(reference, nodes.valid), _average_residual(first, second, field), f4(np.inf))
+        np.where(_widen(reference, nodes.valid), _average_residual(*flat, field), f4(np.inf))
         for nodes, field in zip(motions, fields, strict=True)
     ]
     return fields, np.array(residuals)

@@ -13,7 +13,7 @@ import numpy as np
 
 from fringedic.correlation import resampling_kernels
 from fringedic.correlation.affine import fit_motion
-from fringedic.correlation.agreement import Nodes
+from fringedic.correlation.agreement import REFUSED, Nodes
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, choose_displacement
 from fringedic.correlation.other_motions import (
@@ -32,7 +32,6 @@ from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
 
-_REFUSED = "the deformed image does not correlate with the reference"
 _MOST = 0.75  # of the points; where fewer are measured of a faint texture, pixels are averaged
 
 
@@ -83,7 +82,7 @@ def measure_points(
         binned = _measure_binned(reference, deformed, photometry, start, spacing)
         cause = TextureNoise.of(reference.levels[0]).sentence
         if binned is None and cause:
-            raise CorrelationError(f"{_REFUSED}: {cause}", code=error.code) from error
+            raise CorrelationError(f"{REFUSED}: {cause}", code=error.code) from error
         if binned is None:
             raise
         return binned

@@ -15,6 +15,7 @@ from fringedic.correlation.lattice import Lattice, find_lattice, keep_resolved
 from fringedic.correlation.pyramid import Level, build_pyramid, prepare_level, resample
 from fringedic.correlation.texture_noise import CLEAR, FAINT, TextureNoise
 from fringedic.correlation.window import Window, design_window
+from fringedic.errors import CorrelationError, ErrorCode
 
 f4 = np.float32
 
@@ -95,9 +96,11 @@ class Prepared:
 
         None where the texture is not faint, or where no binning makes it stand out or leaves enough pixels.
         """
-        if self.lattice is not None or TextureNoise.of(self.levels[0]).ratio > FAINT:
+        if self.lattice is not None:
             return None
         chosen, found = 0, TextureNoise.of(self.levels[0])
+        if found.ratio > FAINT:
+            return None
         for k, level in enumerate(self.levels[1:], 1):
             if min(level.shape) < self.window.width + 2 * self.window.cell or found.ratio > CLEAR:
                 break
@@ -140,6 +143,17 @@ class Prepared:
         estimated = estimate_nodes(self.levels, self.images, pyramid, self.window.width, prediction, photometry)
         nodes = assess(estimated, self.window, self.texture)
         return Nodes(f4(self.binning) * nodes.displacement, f4(self.binning) * nodes.sigma, nodes.valid)
+
+    def attempt(
+        self, deformed: np.ndarray, photometry: Photometry, prediction: np.ndarray | None = None
+    ) -> Nodes | None:
+        """Do as `measure`; None where hardly any point agrees."""
+        try:
+            return self.measure(deformed, photometry, prediction)
+        except CorrelationError as error:
+            if error.code is not ErrorCode.NO_CORRELATION:
+                raise
+            return None
 
     def at_pixels(self, nodes: np.ndarray) -> np.ndarray:
         """Interpolate values of nodes (channel, node row, node column) at all pixels."""
