@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,12 +80,27 @@ class Killer(Progress):
     victims
         The node that is killed, by the place of its step among those that have begun, counted from 1: a step that is
         repeated takes two numbers.
+    early
+        Nodes that are killed before the first step, as soon as each runs.
     """
 
-    def __init__(self, folder: Path, victims: dict[int, str]) -> None:
+    def __init__(self, folder: Path, victims: dict[int, str], early: Sequence[str] = ()) -> None:
         super().__init__()
-        self._folder, self._victims = folder, dict(victims)
+        self._folder, self._victims, self._early = folder, dict(victims), list(early)
         self._begun: dict[int, int] = {}
+
+    def stage(self, text: str) -> None:
+        super().stage(text)
+        if self._early and "starting" in text:
+            threading.Thread(target=self._kill_early).start()
+
+    def _kill_early(self) -> None:
+        while self._early:
+            running = node_pids(self._folder)
+            for name in [each for each in self._early if each in running]:
+                self._early.remove(name)
+                os.kill(running[name], signal.SIGKILL)
+            time.sleep(0.02)
 
     def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
         super().step(number, last, text, frame, frames)

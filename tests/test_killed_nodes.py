@@ -26,6 +26,7 @@ PROGRAMME = {
     ],
 }
 VICTIMS = ("experiment", "recorder", "dic")  # nodes with a state in memory
+EARLY = ("projector", "recorder", "experiment")  # killed before the first step
 
 
 @pytest.mark.slow
@@ -34,12 +35,15 @@ def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "left.yaml"
     path.write_text("sensor: left\n" + (CONFIG / "tiny.yaml").read_text())  # nodes that start again have the name, too
     rig, _ = load_rig(path, None, None)
-    progress = Killer(folder, dict(enumerate(VICTIMS, start=2)))
+    progress = Killer(folder, dict(enumerate(VICTIMS, start=2)), EARLY)
     programme = Programme.model_validate(PROGRAMME)
     report = run_experiment(rig, path, programme, folder, progress)
     assert [step.error for step in report.steps] == [""] * 4, progress.lines
     positions = np.array([step.position for step in report.steps])
     assert positions == pytest.approx(np.linspace(0, 0.6e-3, 4), abs=1e-8)
+    for name in EARLY:
+        log = folder / "logs" / f"{name}.log"
+        assert f"{name} was ended by SIGKILL (see {log}); it is started again" in progress.lines, progress.lines
     for name in VICTIMS:
         assert any(f"{name} was ended by SIGKILL" in line and "started again" in line for line in progress.lines), name
 

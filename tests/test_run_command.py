@@ -247,9 +247,12 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
     with fringedic.open_experiment(running.bag.parent) as dataset:
         measured = dataset.step.values[dataset.error.values == ""]
         assert len(measured) == 3
-        assert set(dataset.reference_step.sel(step=measured).values.tolist()) == {0}
+        assert set(dataset.reference_step.sel(step=measured).values.tolist()) == {0}, "the recording decides it"
         position = dataset.position.sel(step=measured).values
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
+    reader = BagReader(running.bag)
+    announced = [message for _, message, _ in reader.messages(reader.find("experiment/reference").values())]
+    assert [(each.step > 0, each.previous_lost) for each in announced] == [(False, False), (True, True)]
     again = fringedic_command("run", tmp_path / "rig.yaml", "--output", running.bag.parent, "--continue")
     assert "no step of the programme is left, 3 of 3 are measured" in str(again.exception)
 

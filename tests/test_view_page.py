@@ -22,6 +22,11 @@ from fringedic.evaluation import extensometer
 from fringedic.figures.palettes import palette
 
 pytestmark = pytest.mark.browser
+TWO_REFERENCES = """async () => {
+  const { chart } = await import("/page/chart.js");
+  const drawn = chart([[0, 0, 0, 0], [1, 1, 0, 0], [2, 0, 0, 2], [3, 1, 0, 2]], { x: "step", y: "strain" });
+  return [...drawn.querySelectorAll("polyline")].map((each) => each.getAttribute("points").split(" ").length);
+}"""
 VIEWS = {"maps": "canvas.map[aria-label]", "curves": "circle.dot", "space": "#space"}  # and a part of each
 
 
@@ -138,7 +143,10 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
     expect(page.locator("circle.dot")).to_have_count(dataset.sizes["step"])
     page.click("summary")
     last = [float(text) for text in page.locator("tr:last-child td").all_inner_texts()]
-    assert last == pytest.approx([1e6 * float(expected.strain), float(dataset.force.sel(step=2))], rel=1e-5)
+    assert last == pytest.approx([1e6 * float(expected.strain), float(dataset.force.sel(step=2)), 0], rel=1e-5)
+    assert page.locator("th:last-child").inner_text() == "relative to step"
+    assert len(page.locator("polyline.curve").get_attribute("points").split()) == dataset.sizes["step"]
+    assert page.evaluate(TWO_REFERENCES) == [2, 2], "the curve is interrupted where the reference changes"
     page.click("text=Maps")
     expect(page.locator("#strain")).to_have_text(strain)
     page.select_option("#tool", "profile")

@@ -65,7 +65,9 @@ class ExperimentNode(RigNode):
         self._step: RunningStep | None = None
         self._experiments = Experiments()
         reference = None if parameters.reference_step < 0 else parameters.reference_step
-        self._experiment = self._experiments.resume(parameters.experiment, parameters.first_step, reference)
+        self._experiment = self._experiments.resume(
+            parameters.experiment, parameters.first_step, reference, previous_lost=parameters.reference_lost
+        )
         self._plane_steps = PlaneSteps(self, self._slot.changed, self.parameters, self._runner)
         self._calibration_server = CalibrationServer(
             self, self._slot, self._plane_steps, self._experiments, self._diagnostics, self._publish_calibration
@@ -116,13 +118,13 @@ class ExperimentNode(RigNode):
         if self._slot.activity:
             response.message = f"{self._slot.activity}; set the reference between steps"
         elif request.next:
-            experiment.next_is_reference = True
+            experiment.require_reference(previous_lost=request.previous_lost)
             response.success = True
             response.message = "the next step becomes the reference"
         elif request.step not in experiment.measured:
             response.message = f"step {request.step} of experiment '{experiment.name}' has not been measured"
         else:
-            experiment.reference, experiment.next_is_reference = request.step, False
+            experiment.set_reference(request.step)
             self._runner.publish_reference(experiment, request.step)
             response.success = True
             response.message = f"step {request.step} is the reference"
@@ -174,6 +176,7 @@ class ExperimentNode(RigNode):
             patterns=parameters.step_patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
             nodes=() if parameters.record_only else parameters.nodes,
             is_reference=request.set_reference or experiment.next_is_reference,
+            previous_lost=experiment.previous_lost and not request.set_reference,
             on_stage=_publish_feedback,
         )
         return self._step

@@ -34,6 +34,8 @@ class RunningStep:
         Processing nodes whose results end the step.
     on_stage
         Called with the stage and this step when the stage or the number of frames changes.
+    previous_lost
+        The step is the reference only because nodes have lost the one before.
     started, exposed, answered
         Time [s] of the start, of the last frame and of the last result on the monotonic clock.
     stamps
@@ -66,6 +68,7 @@ class RunningStep:
     nodes: Sequence[str]
     is_reference: bool
     on_stage: Callable[[str, RunningStep], None]
+    previous_lost: bool = False
     started: float = field(default_factory=time.monotonic)
     stamps: list[int] = field(default_factory=list)
     requested_ns: int = 0

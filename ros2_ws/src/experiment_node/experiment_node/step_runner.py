@@ -75,9 +75,9 @@ class StepRunner:
         self._inputs = InputWatch(node)
         self._recorder = RecorderWatch(node, self._take_recorder_status)
 
-    def publish_reference(self, experiment: Experiment, step: int) -> None:
+    def publish_reference(self, experiment: Experiment, step: int, *, previous_lost: bool = False) -> None:
         """Publish the step that the following ones are measured against."""
-        message = Reference(experiment=experiment.name, step=step)
+        message = Reference(experiment=experiment.name, step=step, previous_lost=previous_lost)
         message.header.stamp = to_msg(time.time_ns())
         self._references.publish(message)
 
@@ -134,20 +134,22 @@ class StepRunner:
         experiment = step.experiment
         experiment.measured.add(step.number)
         if step.is_reference:
-            experiment.reference, experiment.next_is_reference = step.number, False
+            experiment.set_reference(step.number, replaces=step.previous_lost)
         self._diagnostics.success(step.processing_time)
 
     def _reject(self, step: RunningStep, failure: StepFailure) -> StepFailure:
         """Restore the reference of before the step, and return the failure.
 
-        A node that was started again has lost the reference: then the next step becomes one.
+        Without a reference in a node, the next step becomes one. The dic node then had lost it, or was started again;
+        that of the coupling node may be a step without a phase, which a recording does not replace either.
         """
         experiment = step.experiment
-        if any(status.error_code == NodeStatus.NO_REFERENCE for status in step.statuses.values()):
-            experiment.next_is_reference = True
+        without = {name for name, each in step.statuses.items() if each.error_code == NodeStatus.NO_REFERENCE}
+        if without:
+            experiment.require_reference(previous_lost="dic" in without)
             failure = StepFailure(failure.code, f"{failure}; the next step becomes the reference")
         if step.is_reference and experiment.reference is not None:
-            self.publish_reference(experiment, experiment.reference)
+            self.publish_reference(experiment, experiment.reference, previous_lost=experiment.reference_replaces)
         named = f"experiment '{experiment.name}', step {step.number}: {failure}"
         self._node.get_logger().error(named)
         self._diagnostics.failure(named)
@@ -172,7 +174,7 @@ class StepRunner:
 
     def _begin_step(self, step: RunningStep) -> None:
         if step.is_reference:
-            self.publish_reference(step.experiment, step.number)
+            self.publish_reference(step.experiment, step.number, previous_lost=step.previous_lost)
         self._publish_stage(step, StepStatus.BEGIN)
         step.report(Feedback.BEGIN)
 

@@ -436,11 +436,24 @@ def test_references_follow_steps_services_and_failures(rig: Rig, request: pytest
     assert rig.step().step == 4
     assert published()[5:] == [(first, 4)]
 
+    assert not any(message.previous_lost for message in rig.references), "all were asked for"
+    rig.answers = {"dic": NodeStatus.NO_REFERENCE, "coupling": NodeStatus.INPUT_FAILED}
+    assert rig.step().error_code == Result.DIC_FAILED
+    rig.behave()
+    assert rig.step().step == 6
+    assert rig.call(rig.set_reference, next=True, previous_lost=True).success
+    assert rig.call(rig.set_reference, next=True).success
+    assert rig.call(rig.set_reference, next=True, previous_lost=True).success
+    assert rig.step().step == 7
+    assert published()[6:] == [(first, 6), (first, 7)]
+    lost = [message.previous_lost for message in rig.references[6:]]
+    assert lost == [True, False], "a reference that was asked for remains one when the present one is lost, too"
+
     assert not rig.call(rig.start, experiment=first).success
     assert rig.call(rig.start, experiment=second).success
     begun = rig.step()
     assert (begun.experiment, begun.step) == (second, 0)
-    assert published()[6:] == [(second, 0)]
+    assert published()[8:] == [(second, 0)]
 
 
 def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:

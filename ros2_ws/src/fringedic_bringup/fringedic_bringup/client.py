@@ -195,15 +195,22 @@ class RigClient:
         if not response.success:
             raise StepFailedError(response.message)
 
-    def set_reference(self, step: int | None = None) -> None:
+    def set_reference(self, step: int | None = None, *, previous_lost: bool = False) -> None:
         """Make a step the reference of the following ones; None: the one measured next.
+
+        Parameters
+        ----------
+        step
+            Its number.
+        previous_lost
+            The one measured next takes the place of a reference that nodes have lost, see fringedic_msgs/Reference.
 
         Raises
         ------
         StepFailedError
             The experiment node refuses it.
         """
-        request = SetReference.Request(next=step is None, step=step or 0)
+        request = SetReference.Request(next=step is None, step=step or 0, previous_lost=previous_lost)
         response = self.call_again(self._set_reference, request, START_TIMEOUT_S)
         if not response.success:
             raise StepFailedError(response.message)

@@ -84,6 +84,9 @@ class Rig:
         self.refusals = self.silences = 0  # of the next requests for a reference, and of waits for readiness
         self.killed: list[str] = []
         self._next, self._dead = MEASURED, dict[str, str]()
+        self._code = 0
+        self.early = list[tuple[str, int]]()  # nodes that end before the first step, with their exit codes
+        self.references_lost = list[bool]()
 
     # processes
 
@@ -93,6 +96,9 @@ class Rig:
 
     def dead(self) -> dict[str, str]:
         return dict(self._dead)
+
+    def exit_code(self, _: str) -> int:
+        return self._code
 
     def log(self, name: str) -> str:
         return f"{name}.log"
@@ -171,12 +177,17 @@ class Rig:
 
     def wait_for_all_acked(self, _: object) -> None: ...
 
-    def set_reference(self) -> None:
+    def set_reference(self, *, previous_lost: bool) -> None:
         self.refusals -= 1
         if self.refusals >= 0:
             raise StepFailedError("step 7 is being measured; set the reference between steps")
+        self.references_lost.append(previous_lost)
 
     def wait_until_ready(self, *_: object) -> None:
+        if self.early:
+            name, self._code = self.early.pop(0)
+            self._dead[name] = "was ended by SIGKILL"
+            raise NodeDiedError(name)
         self.silences -= 1
         if self.silences >= 0 and self.held:
             raise WaitTimeoutError("not ready: recorder on dic/status")
@@ -192,7 +203,7 @@ class Rig:
 
 def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1, progress: Progress | None = None) -> Driven:
     """Drive a programme of some steps more than an earlier run has done."""
-    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0])
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED)
     return drive_steps(rig, monkeypatch, [{}] * (MEASURED + steps), before=before, progress=progress)
 
 
@@ -245,7 +256,7 @@ def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, mon
     driven = drive(rig, monkeypatch, steps=4)
     assert [bool(report.error) for report in driven.steps] == [False, True]
     assert driven.interrupted
-    assert steps_done(tmp_path / STEPS_DONE, [], [ProgrammeStep()] * (MEASURED + 4)) == (MEASURED + 2, [0])
+    assert steps_done(tmp_path / STEPS_DONE, [], [ProgrammeStep()] * (MEASURED + 4)) == MEASURED + 2
     others = [*[ProgrammeStep()] * (MEASURED + 1), *[ProgrammeStep(position_mm=1.0)] * 3]
     with pytest.raises(ConfigurationError, match=f"the first {MEASURED + 2} steps of the programme are not those"):
         steps_done(tmp_path / STEPS_DONE, [], others)
@@ -269,18 +280,36 @@ def test_steps_of_a_run_that_did_not_count_them(measured: int, done: int, tmp_pa
     steps = [moves_only, measures, moves_only, measures, moves_only]
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     numbers = list(range(5, 5 + measured))
-    assert steps_done(tmp_path / STEPS_DONE, numbers, programme.load_steps()) == (done, numbers[:1])
+    assert steps_done(tmp_path / STEPS_DONE, numbers, programme.load_steps()) == done
 
 
-def test_references_of_a_programme_survive_its_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Results of a run that is continued count from them; they counted from the first step."""
-    rig = Rig(tmp_path, ["", "error", "", "Ctrl-C"])
-    steps = [*[{}] * MEASURED, {}, {"set_reference": True}, {"set_reference": True}, {}]
-    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0, 2])
-    driven = drive_steps(rig, monkeypatch, steps, before=before)
-    assert driven.measure_again == [0, 2, MEASURED + 2], "a step that failed is no reference"
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
-    assert steps_done(tmp_path / STEPS_DONE, [], programme.load_steps()) == (MEASURED + 3, driven.measure_again)
+@pytest.mark.parametrize(
+    ("plan", "lost"), [(["", "dic", ""], True), (["", "experiment", ""], False), (["", ""], False)]
+)
+def test_the_step_after_a_lost_reference_takes_its_place(
+    plan: list[str], lost: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recording then contains that the frames are to be measured against the reference of before."""
+    rig = Rig(tmp_path, list(plan))
+    driven = drive_steps(rig, monkeypatch, [{}, {}])
+    assert rig.references_lost == [True] * lost
+    assert driven.measure_again is (len(plan) == 3)
+
+
+def test_a_node_that_is_killed_before_the_first_step_is_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended the command; a node that ends by itself does so again at the next start."""
+    rig, progress = Rig(tmp_path, [""]), Progress()
+    rig.early = [("experiment", -9), ("dic", -9)]
+    driven = drive_steps(rig, monkeypatch, [{}], progress=progress)
+    assert (driven.ended_early, rig.used, driven.measure_again) == ("", [MEASURED], False)
+    assert rig.held == rig.cancelled == 0, "nothing has begun that could be interrupted"
+    assert "experiment was ended by SIGKILL (see experiment.log); it is started again" in progress.notes
+    rig = Rig(tmp_path, [""])
+    rig.early = [("dic", 1)]
+    with pytest.raises(NodeDiedError):
+        drive_steps(rig, monkeypatch, [{}])
 
 
 def test_a_node_that_dies_again_and_again_ends_the_programme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,7 +117,7 @@ class RigState:
         with self._lock:
             done = {"step": status.step, "error": "", "stage": STAGES[StepStatus.END]}
             row = self._steps.setdefault(status.step, done)
-            row["valid_fraction"] = status.valid_fraction
+            row["valid_fraction"], row["reference_step"] = status.valid_fraction, status.reference_step
             if surface:
                 row["rms_displacement"] = status.rms_displacement
 

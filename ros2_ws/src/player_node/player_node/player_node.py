@@ -20,6 +20,7 @@ from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
+from fringedic.steps.recorded_references import recorded_steps_and_references
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
 from fringedic_ros.parameters import declare, report_unknown_parameters
@@ -161,17 +162,11 @@ class PlayerNode(RigNode):
 
     def _chosen_steps(self, bag: BagReader) -> set[int] | None:
         """Return the numbers of the requested steps and of their references; None for all steps."""
-        names = bag.find_optional(STEP, REFERENCE)
-        present, references = [], set()
-        for topic, message, _ in bag.messages(names.values()):
-            if topic == names[STEP]:
-                present.append(message.step)
-            else:
-                references.add(message.step)
+        present, references = recorded_steps_and_references(bag)
         requested = set(self.parameters.value.steps) | ({self._reference} if self._reference is not None else set())
-        absent = sorted(requested - set(present))
+        absent = sorted(requested - present)
         if absent:
-            there = ", ".join(map(str, sorted(set(present))))
+            there = ", ".join(map(str, sorted(present)))
             raise ConfigurationError(f"{bag.path} has no step {', '.join(map(str, absent))}; it has {there}")
         if not self.parameters.value.steps:
             return None

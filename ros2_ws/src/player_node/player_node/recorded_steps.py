@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from rclpy.serialization import serialize_message
 
@@ -12,10 +13,11 @@ from fringedic.recording.definitions import type_hash
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
-from fringedic_msgs.msg import Exposure, RigCalibration, StepStatus
+from fringedic.steps.recorded_references import REFERENCE_TOPICS, RecordedReferences
+from fringedic_msgs.msg import Exposure, Reference, RigCalibration, StepStatus
 from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.serialized import header_stamp, read
-from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
 
 # Topics whose messages concern one step only.
@@ -69,6 +71,8 @@ class RecordedStep:
 def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
     """Yield messages under relative names; calibrations and records of older definitions become present ones.
 
+    References are those of `RecordedReferences`: a step that took the place of one that the nodes had lost is none.
+
     Parameters
     ----------
     bag
@@ -76,9 +80,15 @@ def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawM
     names
         Relative name by full name of the topics to read.
     """
+    references = RecordedReferences()
     for message in bag.published(names):
         name, data = names[message.topic], message.data
         topic = bag.topics[message.topic]
+        if name in REFERENCE_TOPICS:
+            recorded = bag.decode(message.topic, data)
+            reference = references.take(name, recorded)
+            if reference is not None:
+                data = serialize_message(reference_message(recorded, reference))
         if name in (CALIBRATION, EXPOSURE) and topic.hash != type_hash(topic.type_name):
             recorded = bag.decode(message.topic, data)
             frame = recorded.header.frame_id
@@ -90,6 +100,15 @@ def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawM
                 present = exposure_message(frame_record(recorded), frame_id=frame)
             data = serialize_message(present)
         yield message._replace(topic=name, data=data)
+
+
+def reference_message(recorded: Any, step: int) -> Reference:
+    """Return a recorded reference with another step."""
+    message = Reference(experiment=recorded.experiment, step=step)
+    message.previous_lost = step == recorded.step and bool(recorded.previous_lost)  # of a recording without that one
+    message.header.stamp = to_msg(stamp_of(recorded))
+    message.header.frame_id = recorded.header.frame_id
+    return message
 
 
 def split_steps(messages: Iterable[RawMessage]) -> Iterator[RecordedStep]:

@@ -30,9 +30,11 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
     Returns
     -------
     dict
-        ``experiment``, ``specimen``, ``material``; numbers of ``steps`` and ``failed_steps``; ``confirmed_fraction``
-        and the mean ``valid_fraction``; ``largest_force`` by its magnitude [N]; ``largest_strain``, the largest
-        magnitude of e_11 and e_22 at any point, with ``sigma_largest_strain`` there and ``largest_strain_step``;
+        ``experiment``, ``specimen``, ``material``; numbers of ``steps`` and ``failed_steps``; ``reference_step``, which
+        all strains of this list are relative to (that of the elastic constants, else the first one), and
+        ``reference_steps``, all of the experiment; ``confirmed_fraction`` and the mean ``valid_fraction``;
+        ``largest_force`` by its magnitude [N]; ``largest_strain``, the largest magnitude of e_11 and e_22 at any point,
+        with ``sigma_largest_strain`` there and ``largest_strain_step``;
         ``axial_strain``, the name of the strain along the load; ``modulus`` [Pa] and ``poisson_ratio`` with
         ``sigma_modulus`` and ``sigma_poisson_ratio``, ``nonuniformity`` and ``elastic_reason``, why they are not known,
         as of `ElasticConstants`; ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation over the points of
@@ -41,7 +43,10 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
     specimen = recorded_metadata(dataset).specimen
     floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
     largest, sigma, step = np.nan, np.nan, None
-    for index in range(dataset.sizes["step"]):
+    references = dataset["reference_step"].values
+    known_references = [int(each) for each in np.unique(references) if each >= 0]
+    reference = constants.reference_step if constants.reference_step >= 0 else next(iter(known_references), -1)
+    for index in np.flatnonzero(references == reference):
         for name in _STRAINS:
             values = dataset[name].isel(step=index).values
             if not np.isfinite(values).any():
@@ -59,6 +64,8 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         "specimen": specimen.name,
         "material": specimen.material,
         "steps": dataset.sizes["step"],
+        "reference_step": None if reference < 0 else reference,
+        "reference_steps": ", ".join(map(str, known_references)),
         "failed_steps": int(np.count_nonzero(dataset["error"].values != "")),
         "confirmed_fraction": confirmed_share(dataset),
         "valid_fraction": float(finite.mean()) if finite.size else np.nan,

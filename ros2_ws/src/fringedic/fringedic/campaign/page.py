@@ -33,6 +33,7 @@ COLUMNS = (
     "group",
     "steps",
     "failed",
+    "relative to step",
     "confirmed [%]",
     "largest force [N]",
     "largest strain [µstrain]",
@@ -124,6 +125,7 @@ def _row(receipt: Receipt) -> list[str]:
         labels["group"] or "-",
         str(figures["steps"]),
         str(figures["failed_steps"]),
+        _reference(figures),
         _number(figures["confirmed_fraction"], 1e-2),
         _number(figures["largest_force"], 1.0),
         _number(figures["largest_strain"], 1e-6),
@@ -132,6 +134,14 @@ def _row(receipt: Receipt) -> list[str]:
         _with_uncertainty(figures, "modulus"),
         _with_uncertainty(figures, "poisson_ratio"),
     ]
+
+
+def _reference(figures: dict[str, Any]) -> str:
+    """Return the reference step of the strains, and in brackets all of the recording where there are several."""
+    reference, every = figures["reference_step"], figures["reference_steps"]
+    if reference is None:
+        return "-"
+    return str(reference) if every == str(reference) else f"{reference} (of {every})"
 
 
 def _number(value: float | None, unit: float) -> str:

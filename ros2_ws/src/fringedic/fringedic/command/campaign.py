@@ -132,7 +132,8 @@ def open_results(
     from fringedic.campaign.settings import store_address
 
     _, catalogue = open_campaign(folder)
-    columns = ["specimen", "group", "steps", "confirmed_fraction", "largest_strain", "sigma_largest_strain"]
+    columns = ["specimen", "group", "steps", "reference_step", "confirmed_fraction"]
+    columns += ["largest_strain", "sigma_largest_strain"]
     table = Table(title=f"{folder}: {len(catalogue)} recordings", title_justify="left")
     for heading in ("recording", *columns):
         table.add_column(heading.replace("_", " "))

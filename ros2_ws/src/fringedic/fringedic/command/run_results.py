@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import xarray as xr
@@ -30,14 +30,15 @@ def write_results(
     steps: list[StepReport],
     *,
     exact: Reconstruct | None = None,
-    measure_again: Sequence[int] = (),
+    measure_again: bool = False,
 ) -> RunReport:
     """Write dataset, pictures and report of a recording; add lost frames, force and errors to the steps.
 
     Parameters
     ----------
     measure_again
-        Reference steps for a new measurement of all steps from the recorded frames; empty: the nodes' results.
+        Measure all steps again from the recorded frames, because results of the nodes are missing or count from another
+        step.
     exact
         Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
         the errors of these heights are added as ``z_exact``.
@@ -51,12 +52,9 @@ def write_results(
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
     try:
-        if measure_again:
-            process_bag(bag, output=target, experiment=experiment, reference=measure_again, overwrite=True)
-        elif recorded.find_optional("phase/status"):
-            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
-        else:
-            process_bag(bag, output=target, experiment=experiment, overwrite=True)
+        from_nodes = recorded.find_optional("phase/status") and not measure_again
+        write = dataset_from_derived if from_nodes else process_bag
+        write(bag, output=target, experiment=experiment, overwrite=True)
     except DatasetError as error:
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:

@@ -10,6 +10,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from fringedic.datasets.quantities import (
+    LATER_REFERENCES,
     MAP_DIMENSIONS,
     METADATA_ATTRIBUTE,
     MISSING_PARTS,
@@ -30,6 +31,7 @@ JSON_ATTRIBUTES = {
     METADATA_ATTRIBUTE: dict,
     MISSING_PARTS: list,
     MISSING_SETTINGS: list,
+    LATER_REFERENCES: list,
 }
 """The attributes that contain JSON, and the kind of its content."""
 

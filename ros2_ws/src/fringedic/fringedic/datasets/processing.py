@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.datasets.derived import Collected
-from fringedic.datasets.quantities import MISSING_PARTS, MISSING_SETTINGS, PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.quantities import LATER_REFERENCES, MISSING_PARTS, MISSING_SETTINGS, PHASE_TOPICS, SOURCE_BYTES
 from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
+from fringedic.datasets.sentences import lost_references_sentence
 from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
 from fringedic.datasets.writer import DatasetWriter
@@ -83,7 +84,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
     reference
         Number of the step that all others are measured against, also earlier ones. Several numbers: each step is
-        measured against the latest of them before it, earlier ones against the first. By default as recorded.
+        measured against the latest of them before it, earlier ones against the first. By default as recorded; a step
+        that took the place of a reference which the nodes had lost is none, see docs/results.md.
     calibration
         Model of the rig, instead of the recorded one.
     experiment, sensor
@@ -204,7 +206,9 @@ def process_into(
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
     timeline = Timeline(reader, names, settings.experiment, steps=read, overrides=settings.overrides)
-    if not asked:
+    if asked:
+        timeline.later_references = []
+    else:
         timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
@@ -287,6 +291,8 @@ def follow_into(
             kept.append(replace(row, maps={}))
         timeline = _final_timeline(recording, attributes, settings, [row.step for row in kept])
         writer.attributes[SOURCE_BYTES] = str(timeline.source_bytes)
+        if timeline.later_references:
+            writer.attributes[LATER_REFERENCES] = json.dumps(timeline.later_references)
         writer.add_signals(timeline.signals.values())
         for index, row in enumerate(kept):
             timeline.complete(row)
@@ -347,7 +353,7 @@ def dataset_from_derived(
         The recording contains no derived topics, or is damaged.
     DatasetError
         The output exists or cannot be written, or the recording contains no step of the experiment, or several
-        experiments.
+        experiments; or results count from a step at which the nodes had lost the reference.
     """
     reader = BagReader(path, sensor=sensor)
     names = reader.find("phase/status", "dic/status", "camera/exposure")
@@ -359,6 +365,8 @@ def dataset_from_derived(
     names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
     others = reader.find_optional(*SIGNAL_TOPICS, "experiment/step")
     timeline = Timeline(reader, names | others, experiment)
+    if timeline.replaced_references:
+        raise DatasetError(f"{path}: {lost_references_sentence(timeline.replaced_references, path)}")
     target = dataset_path(path, output, overwrite, timeline.sensor)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
     topics = {name: full for name, full in names.items() if name != "camera/exposure"}
@@ -388,6 +396,8 @@ def _write(
         attributes["damage"] = timeline.damage
     if timeline.missing_parts:
         attributes[MISSING_PARTS] = json.dumps(timeline.missing_parts)
+    if timeline.later_references:
+        attributes[LATER_REFERENCES] = json.dumps(timeline.later_references)
     if timeline.missing_settings:
         attributes[MISSING_SETTINGS] = json.dumps(timeline.missing_settings)
     with DatasetWriter(target, attributes) as writer:

@@ -14,6 +14,7 @@ MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
 MISSING_PARTS = "missing_parts"  # attribute: names of later parts of the run that the dataset lacks, as a JSON list
+LATER_REFERENCES = "later_references"  # attribute: references in place of one that is not recorded, as a JSON list
 MISSING_SETTINGS = "missing_settings"  # attribute: nodes whose settings were not recorded, as a JSON list
 TIME_ZERO = "time_zero"  # attribute of selected steps: time of the first step of the whole dataset
 

@@ -20,6 +20,7 @@ from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.reader import BagReader
 from fringedic.signals import FORCE, SIGNAL_TOPICS, Signal, SignalValue, signals_of
 from fringedic.steps.recorded_parameters import of_specimen, recorded_metadata, with_specimen
+from fringedic.steps.recorded_references import REFERENCE, REFERENCE_TOPICS, STEP, RecordedReferences
 from fringedic.steps.recorded_rig import EXPERIMENT, missing_settings
 
 # Stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven.
@@ -54,7 +55,11 @@ class Timeline:
     missing_settings
         Nodes whose settings are not in the recording, so that defaults are used.
     references
-        Numbers of the reference steps.
+        Numbers of the reference steps, see `RecordedReferences`.
+    replaced_references
+        Step that the nodes measured against instead of a reference that they had lost -> this reference.
+    later_references
+        Reference steps that took the place of one which the recording does not contain.
     signals
         The signals of the rig by their name; sign and tare of the specimen's metadata apply to the force.
     rejected
@@ -87,7 +92,7 @@ class Timeline:
         self.missing_parts = [part.name for part in reader.parts]
         exposed = [record for record in exposed if record.experiment == self.experiment]
         self.sensor = exposed[0].sensor
-        stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
+        references, stages = self._references_and_stages(reader, names)
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
         recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))
         observed = recorded[FORCE.name].stamps.size > 0
@@ -97,10 +102,11 @@ class Timeline:
             if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
         }
         self._begun = self._exposed.keys() | {each.step for each in stages}
-        references = (each for each in messages("experiment/reference") if each.experiment == self.experiment)
-        self._announced = {each.step for each in references}
         begin = next(self._times_of(reader, names["camera/exposure"]), 0)
-        self._reference_known = any(time <= begin for time in self._times_of(reader, names.get("experiment/reference")))
+        self._reference_known = any(time <= begin for time in self._times_of(reader, names.get(REFERENCE)))
+        self._announced = references.of(self.experiment)
+        self.later_references = sorted(step for _, step in references.unreplaced)
+        self.replaced_references = {step: reference for (_, step), reference in references.replaced.items()}
         # a reference step that failed before its first frame was announced, too, and the next one after it
         self.references = (self._announced & self._exposed.keys()) | {min(self._exposed)}
         read = None if steps is None else steps | self.references
@@ -113,6 +119,21 @@ class Timeline:
             self._require_sign_and_tare(entries, specimen)
         self._sign, self._tare = specimen.force_sign, self._force_tare(specimen)
         self.signals = {name: self._corrected(signal) for name, signal in recorded.items()}
+
+    def _references_and_stages(
+        self, reader: BagReader, names: Mapping[str, str]
+    ) -> tuple[RecordedReferences, list[Any]]:
+        """Return the references of the experiment, and the stages of its steps."""
+        relative = {names[name]: name for name in REFERENCE_TOPICS if name in names}
+        references, stages = RecordedReferences(), []
+        for raw in reader.published(relative):
+            topic, message = relative[raw.topic], reader.decode(raw.topic, raw.data)
+            if getattr(message, "experiment", self.experiment) != self.experiment:
+                continue
+            references.take(topic, message)
+            if topic == STEP:
+                stages.append(message)
+        return references, stages
 
     def _require_sign_and_tare(self, given: Mapping[str, Any], specimen: SpecimenMetadata) -> None:
         names = ("force_sign", "force_tare_newton") if EXPERIMENT in self.missing_settings else ()

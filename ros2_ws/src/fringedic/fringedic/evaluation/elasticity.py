@@ -114,7 +114,7 @@ class ElasticConstants:
     Attributes
     ----------
     axial
-        Strain along the load: ``e_11`` or ``e_22``, that with the larger range.
+        Strain along the load: ``e_11`` or ``e_22``, that with the larger range over the steps of one reference.
     steps
         Number of steps in the regression.
     modulus, sigma_modulus
@@ -203,7 +203,7 @@ def elastic_constants(
 
 def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float) -> ElasticConstants:
     """Return the constants of a `strain_curve`; see `elastic_constants`."""
-    ranges = [float(np.nanmax(curve[name]) - np.nanmin(curve[name])) for name in _STRAINS]
+    ranges = [_largest_range(curve, name) for name in _STRAINS]
     axial, transverse = _STRAINS if ranges[0] > ranges[1] else _STRAINS[::-1]
     used = (curve[axial] >= strain[0]) & (curve[axial] <= strain[1]) & np.isfinite(curve[transverse])
     points = curve.isel(step=np.flatnonzero(used.values))
@@ -251,6 +251,15 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
         max(spreads.values()),
         "; ".join(reasons),
     )
+
+
+def _largest_range(curve: xr.Dataset, name: str) -> float:
+    """Return the largest range of a strain over the steps of one reference; 0 where none is measured."""
+    values = curve[name].values
+    references = curve["reference_step"].values if "reference_step" in curve else np.zeros(values.size)
+    known = np.isfinite(values)
+    parts = (values[known & (references == reference)] for reference in np.unique(references[known]))
+    return max((float(np.ptp(part)) for part in parts), default=0.0)
 
 
 class _Axis(NamedTuple):

@@ -39,6 +39,12 @@ def _translate_exposure(message: Any) -> None:
         message.image_crc = 0
 
 
+def _translate_reference(message: Any) -> None:
+    """State that it is not known whether it took the place of a lost one: the starts of the nodes decide."""
+    if not hasattr(message, "previous_lost"):
+        message.previous_lost = None
+
+
 def _translate_step(message: Any) -> None:
     """Take the name of the step off the reason of its failure, which named it although the message does."""
     named = f"experiment '{message.experiment}', step {message.step}: "
@@ -80,5 +86,6 @@ def _correction(text: str) -> Any:
 _TRANSLATIONS: dict[str, Callable[[Any], None]] = {
     "fringedic_msgs/msg/Exposure": _translate_exposure,
     "fringedic_msgs/msg/NodeStatus": _translate_status,
+    "fringedic_msgs/msg/Reference": _translate_reference,
     "fringedic_msgs/msg/StepStatus": _translate_step,
 }

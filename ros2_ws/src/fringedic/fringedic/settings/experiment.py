@@ -111,6 +111,10 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings):
     reference_step: int = Field(
         -1, ge=-1, le=2**31 - 1, description="Earlier step that is still the reference; -1: the first that succeeds."
     )
+    reference_lost: bool = Field(
+        False,
+        description="The reference of the earlier steps is lost: the first step that succeeds takes its place.",
+    )
     calibration_file: str = Field(
         "", description="YAML file of the pin-hole model of the rig, published on `calibration`."
     )

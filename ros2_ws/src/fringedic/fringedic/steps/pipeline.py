@@ -20,6 +20,7 @@ from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
+from fringedic.steps.recorded_references import RecordedReferences
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 
@@ -64,7 +65,7 @@ class OfflinePipeline:
         The experiment whose frames follow.
     references
         Steps that are references, whatever the recording names: the first one of all steps until the next one. The
-        frames of the first one come first. Empty: as recorded.
+        frames of the first one come first. Empty: as recorded, see `RecordedReferences`.
     calibration
         Of the rig, instead of the recorded one.
 
@@ -87,6 +88,7 @@ class OfflinePipeline:
         self._fixed_calibration = calibration is not None
         self._calibration: RigModel | None = None
         self._parameters = RecordedParameters(overrides)
+        self._references = RecordedReferences()
         self._collector = FrameCollector()
         self._displacement = DisplacementTracker(self._parameters.dic)
         self._shape = ShapeTracker(self._parameters.coupling)
@@ -117,12 +119,13 @@ class OfflinePipeline:
         if isinstance(event, RecordedFrame):
             return self._take_frame(event, wanted)
         message = event.message
+        reference = self._references.take(event.topic, message)
+        if reference is not None and not self._fixed_references:
+            self._displacement.set_reference(message.experiment, reference)
         if event.topic == "node_parameters":
             self._parameters.take(message)
         elif event.topic == "calibration" and not self._fixed_calibration:
             self._set_calibration(RigModel.from_message(message))
-        elif event.topic == "experiment/reference" and not self._fixed_references:
-            self._displacement.set_reference(message.experiment, message.step)
         elif event.topic == "experiment/step":
             ended = (message.experiment, message.step)
             if message.stage == _ERROR_STAGE:

@@ -160,8 +160,7 @@ class RecordedParameters:
 
     def take(self, message: Any) -> None:
         """Take the published parameters of one node; parameters that this version does not have are left out."""
-        values = {each.name: _value(each.value) for each in message.parameters}
-        recorded = present_parameters(message.node, values)
+        recorded = present_parameters(message.node, parameter_values(message))
         if message.node in self._overrides:
             known = self._model(message.node).model_fields
             self._set(message.node, {name: value for name, value in recorded.items() if name in known})
@@ -182,6 +181,11 @@ class RecordedParameters:
                 f"{node}.{each['loc'][0]} = {each['input']!r}: {each['msg']}" for each in error.errors()
             )
             raise ConfigurationError(problems) from error
+
+
+def parameter_values(message: Any) -> dict[str, Any]:
+    """Return the values in a ``fringedic_msgs/NodeParameters`` by their names, as recorded."""
+    return {each.name: _value(each.value) for each in message.parameters}
 
 
 def _value(value: Any) -> Any:

@@ -105,6 +105,7 @@ def test_catalogue_has_labels_and_figures_with_their_uncertainty(done: Campaign)
     assert catalogue.index.tolist() == NAMES
     row = catalogue.loc["plate-1"]
     assert (row["group"], row["experiment"], row["steps"], row["failed_steps"]) == ("batch 7", "tiny", 3, 0)
+    assert (row["reference_step"], row["reference_steps"]) == (0, "0")
     assert 0 < row["sigma_largest_strain"] < 0.1 * row["largest_strain"]
     assert abs(row["poisson_ratio"] - 0.33) < 3 * row["sigma_poisson_ratio"] < 0.03
     assert np.isnan(row["modulus"])  # the recording contains no section

@@ -25,7 +25,7 @@ from fringedic.datasets import MAPS, dataset_from_derived, open_experiment, proc
 from fringedic.datasets.derived import Collected
 from fringedic.datasets.quantities import SCALARS, STEP_NUMBERS
 from fringedic.datasets.rows import Row, with_lost_steps
-from fringedic.datasets.sentences import confirmation_sentence
+from fringedic.datasets.sentences import confirmation_sentence, references_sentence
 from fringedic.datasets.signals import signal_names, signal_series
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import ConfigurationError, DatasetError, RecordingError
@@ -819,6 +819,50 @@ def test_a_reference_step_that_failed_before_its_first_frame_is_none(tmp_path):
     bench.writer.close()
     with open_experiment(process_bag(tmp_path / "plate", steps=[2])) as dataset:
         assert (dataset.step.values.tolist(), dataset.reference_step.values.tolist()) == ([1, 2], [1, 1])
+
+
+def white_steps(path, steps, *references):
+    """A recording of white steps, in which references are announced: (before which step, replacing a lost one)."""
+    bench = Bench(path)
+    bench.begin()
+    for number in steps:
+        for step, lost in references:
+            if step == number:
+                bench.write("experiment/reference", bench.now, experiment="plate", step=step, previous_lost=lost)
+        bench.step(number, POSITIONS[number], white=True)
+        bench.write("experiment/step", bench.now, experiment="plate", step=number, stage=3)
+    bench.writer.close()
+    return path
+
+
+def test_steps_count_from_the_reference_that_the_nodes_had_lost(tmp_path):
+    """They counted from the first step after the loss, which is loaded; the results of the nodes do so."""
+    lost = white_steps(tmp_path / "lost", range(3), (1, True))
+    asked = white_steps(tmp_path / "asked", range(3), (1, False))
+    with open_experiment(process_bag(lost)) as found, open_experiment(process_bag(asked)) as other:
+        assert found.reference_step.values.tolist() == [0, 0, 0]
+        assert other.reference_step.values.tolist() == [0, 1, 1]
+        moved = [float(each.displacement_y.isel(step=2).median()) for each in (found, other)]
+        first = float(found.displacement_y.isel(step=1).median())
+        assert moved == pytest.approx([2 * first, first], rel=0.05), "the plate moves as far in each step"
+        assert references_sentence(other).startswith("displacements are relative to steps 0, 1")
+    with pytest.raises(DatasetError, match=r"count from step 1 instead of step 0, .* 'fringedic process .*lost'"):
+        dataset_from_derived(lost, output=tmp_path / "nodes.nc")
+
+
+def test_a_recording_without_the_reference_before_it_says_so(tmp_path):
+    """A part of a run that was continued counts from its first step, at the load of that step."""
+    bench = Bench(tmp_path / "part")
+    bench.parameters("experiment", ExperimentParameters())
+    bench.write("experiment/reference", bench.now, experiment="plate", step=2, previous_lost=True)
+    for number in (2, 3):
+        bench.step(number, POSITIONS[number], white=True)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "part")) as part:
+        assert references_sentence(part).startswith("displacements are relative to step 2, at the load of that step")
+    asked = process_bag(tmp_path / "part", output=tmp_path / "asked.nc", reference=2)
+    with open_experiment(asked) as part:
+        assert references_sentence(part) == ""
 
 
 def test_another_reference_step_turns_the_displacement_round(bench, processed, tmp_path):

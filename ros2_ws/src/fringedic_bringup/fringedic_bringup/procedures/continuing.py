@@ -20,10 +20,13 @@ from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.msg import StepStatus
 
-STEPS_DONE = "steps_done"  # file among the logs: steps of the programme that were done, and the references
+STEPS_DONE = "steps_done"  # file among the logs: steps of the programme that were done
 COMPARED = ("experiment", "camera", "projector", "phase", "dic", "coupling")  # nodes whose parameters change results
 _LATER = "nodes, region_file or pixel_format, which earlier versions did not record without processing"
-OF_ONE_COMMAND = {"truth_folder", "calibration_file", "calibration_folder", "metadata", "first_step", "reference_step"}
+OF_ONE_COMMAND = {
+    *("truth_folder", "calibration_file", "calibration_folder", "metadata"),
+    *("first_step", "reference_step", "reference_lost"),
+}
 
 
 class RecordedSteps(NamedTuple):
@@ -37,14 +40,11 @@ class RecordedSteps(NamedTuple):
         Number of the last step; -1 without steps.
     done
         How many steps of the programme were done, also those that move only or failed.
-    references
-        Numbers of the steps that are references; empty when no step was measured.
     """
 
     measured: list[int]
     last: int
     done: int
-    references: list[int]
 
 
 @contextmanager
@@ -113,24 +113,22 @@ def recorded_steps(bag: Path, programme: Programme, namespace: str) -> RecordedS
     statuses = [message for _, message, _ in reader.messages([topic])]
     measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
     steps = programme.load_steps()
-    done, references = steps_done(bag.with_name("logs") / STEPS_DONE, measured, steps)
+    done = steps_done(bag.with_name("logs") / STEPS_DONE, measured, steps)
     if done >= len(steps):
         count = sum(step.mode != "none" for step in steps)
         raise ConfigurationError(
             f"{bag.parent}: no step of the programme is left, {len(measured)} of {count} are measured"
         )
-    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done, references)
+    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done)
 
 
-def save_steps_done(file: Path, steps: Sequence[ProgrammeStep], references: Sequence[int]) -> None:
-    """Save the steps of a programme that were done and the numbers of its references, for `steps_done`."""
-    write_whole(file, " ".join([str(len(steps)), _checksum(steps), *map(str, references)]))
+def save_steps_done(file: Path, steps: Sequence[ProgrammeStep]) -> None:
+    """Save the steps of a programme that were done, for `steps_done`."""
+    write_whole(file, f"{len(steps)} {_checksum(steps)}")
 
 
-def steps_done(file: Path, measured: Sequence[int], steps: Sequence[ProgrammeStep]) -> tuple[int, list[int]]:
-    """Return how many steps of a programme were done, and its references.
-
-    Of a run of an earlier version, as if no step had failed, with the first measured step as the reference.
+def steps_done(file: Path, measured: Sequence[int], steps: Sequence[ProgrammeStep]) -> int:
+    """Return how many steps of a programme were done; of a run of an earlier version, as if no step had failed.
 
     Raises
     ------
@@ -138,17 +136,17 @@ def steps_done(file: Path, measured: Sequence[int], steps: Sequence[ProgrammeSte
         Other steps were done than the first ones of the programme.
     """
     try:
-        number, checksum, *numbers = file.read_text().split()
-        done, references = int(number), [int(each) for each in numbers]
+        number, checksum, *_ = file.read_text().split()
+        done = int(number)
     except (OSError, ValueError):
         ends = [number for number, step in enumerate(steps, 1) if step.mode != "none"]
-        return ([0, *ends])[min(len(measured), len(ends))], list(measured[:1])
+        return ([0, *ends])[min(len(measured), len(ends))]
     if _checksum(steps[:done]) != checksum:
         raise ConfigurationError(
             f"{file.parent.parent}: the first {done} steps of the programme are not those that were done; "
             "undo the change of the programme, or start a new run"
         )
-    return done, references or list(measured[:1])
+    return done
 
 
 def _checksum(steps: Iterable[ProgrammeStep]) -> str:
@@ -203,7 +201,7 @@ def continued(graph: Graph, bag: Path, before: RecordedSteps) -> Graph:
     """Return a graph that records the next part, with the next numbers of steps; the truth ends with the first part."""
     changes: dict[str, dict[str, Any]] = {
         "recorder": {"bag_path": str(next_part(bag).absolute())},
-        "experiment": {"first_step": before.last + 1},
+        "experiment": {"first_step": before.last + 1, "reference_lost": bool(before.measured)},
         "camera": {"truth_folder": ""},
     }
     nodes = (

@@ -1,7 +1,9 @@
 """Drives a programme: moves, holds and measures step by step, as the controller of a load frame would.
 
 A node that ends does not end the test: the machine is requested to hold, the node is started again, and the step is
-repeated. Only a camera that reads files ends it, because the images would begin again at the first one.
+repeated. Only a camera that reads files ends it, because the images would begin again at the first one. Before the
+first step a node that is killed is started again, too; one that ends by itself ends the test, because it would do so
+again.
 
 A stop that this programme has not requested ends it, and so does a fault of the machine: somebody, or the machine,
 wants the crosshead to stand still, and only a person may move it again.
@@ -65,8 +67,8 @@ class Driven(NamedTuple):
     steps
         Reports of the steps that were to be measured.
     measure_again
-        Reference steps for a new measurement of all steps from the recording, because a node ended, so that results are
-        missing or count from another step; empty when none ended.
+        All steps are to be measured again from the recorded frames: a node ended, or the run was continued, so that
+        results are missing or count from another step.
     ended_early
         Why the programme ended before its last step; empty when it did not.
     interrupted
@@ -74,7 +76,7 @@ class Driven(NamedTuple):
     """
 
     steps: list[StepReport]
-    measure_again: list[int]
+    measure_again: bool
     ended_early: str = ""
     interrupted: bool = False
 
@@ -111,7 +113,7 @@ def drive(
     Raises
     ------
     NodeDiedError
-        A node ended before all were ready.
+        A node ended by itself before all were ready.
     WaitTimeoutError
         The nodes are not ready in time, or the strain or signal that a condition needs has no publisher.
     """
@@ -124,20 +126,17 @@ def drive(
 
     with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
         record = _EndRecord(rig, programme.experiment)
-        rig.wait_until_ready(running.graph.names)
         conditions = programme.conditions()
         needs_strain = any(until.needs_strain for until in conditions)
-        if needs_strain:
-            rig.wait_for_strain()
-        rig.wait_for_signals({name for until in conditions for name in until.signals})
         count = sum(step.mode != "none" for step in programme.load_steps())
         driver = _Driver(running, rig, progress, control, count - 1, needs_strain=needs_strain)
         if before is not None:
             rig.last_step = before.last
-            driver.references += before.references
+            driver.has_reference = bool(before.measured)
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early, interrupted = "", False
+        driver.begin({name for until in conditions for name in until.signals})
         faults.rig = rig
         try:
             with suppress(StopIteration):
@@ -146,7 +145,7 @@ def drive(
                     done.append(walk.send(reading))
                     if before is None or len(done) > before.done:
                         reading = driver.do(done[-1])
-                        save_steps_done(running.logs / STEPS_DONE, done, driver.references)
+                        save_steps_done(running.logs / STEPS_DONE, done)
             driver.finish()
             record.publish(driver.number)
         except (FringedicError, OSError) as error:
@@ -159,7 +158,7 @@ def drive(
             ended_early, interrupted = "interrupted", True
             progress.note(f"interrupted: {held}; the results of what was measured are written")
             record.publish(driver.number, ended_early)
-    again = driver.references if driver.interrupted or (before is not None and before.references) else []
+    again = driver.interrupted or (before is not None and bool(before.measured))
     return Driven(driver.reports, again, ended_early, interrupted)
 
 
@@ -225,8 +224,8 @@ class _Driver:
     ----------
     reports
         Reports of the steps that are measured.
-    references
-        Steps that are references: the first one that was measured, and those that the programme names.
+    has_reference
+        A step was measured, so that the following ones have a reference.
     number
         Number that the step under way has, or will have, in the recording.
     interrupted
@@ -244,10 +243,11 @@ class _Driver:
         needs_strain: bool = False,
     ) -> None:
         self.reports: list[StepReport] = []
-        self.references: list[int] = []
+        self.has_reference = False
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
         self.number, self._last, self._needs_strain = 0, last, needs_strain
         self.interrupted = False
+        self._begun = False  # the programme has begun its first step
         self._restarted = False  # a node was started again since the last successful step
         self._is_new_reference = False  # the step under way sets the reference, and the zero of the strain
         self._stop: MoveStoppedError | None = None  # of a move that ended while a node was being started again
@@ -255,8 +255,31 @@ class _Driver:
         self._silences = 0
         self._awaited: dict[str, int] = {}  # nodes that were started again, and when [ns]
 
+    def begin(self, signals: set[str]) -> None:
+        """Wait until all is ready for the first step, also the signals of the conditions and the strain, if needed.
+
+        Raises
+        ------
+        NodeDiedError
+            A node has ended by itself, or was killed more than `MOST_DEATHS` times.
+        WaitTimeoutError
+            The nodes are not ready in time, or the strain or a signal has no publisher.
+        """
+        while True:
+            try:
+                self._rig.wait_until_ready(self._running.graph.names)
+                if self._needs_strain:
+                    self._rig.wait_for_strain()
+                return self._rig.wait_for_signals(signals)
+            except NodeDiedError as death:
+                if any((self._running.exit_code(name) or 0) >= 0 for name in self._running.dead()):
+                    raise
+                self._restart(death)
+                self.interrupted = False  # nothing was measured yet
+
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
+        self._begun = True
         self.number = self._rig.last_step + 1  # the number that the step gets in the recording
         self._is_new_reference = step.set_reference
         self._last = max(self._last, self.number)
@@ -309,9 +332,8 @@ class _Driver:
         """Report a measured step."""
         self._restarted, self._silences = False, 0
         self._deaths.clear()
-        replaced = bool(self.references) and not step.set_reference and result.step == self._rig.reference
-        if step.set_reference or not self.references:
-            self.references.append(result.step)
+        replaced = self.has_reference and not step.set_reference and result.step == self._rig.reference
+        self.has_reference = True
         self._report(_report(step, result))
         if replaced:  # by the experiment node
             self.interrupted = True
@@ -421,16 +443,16 @@ class _Driver:
                 self._restarted = True
                 self._progress.note(f"{_in_words(names)} ready again after {time.monotonic() - begin:.0f} s")
                 without_reference = names.intersection(WITH_REFERENCE)
-                if EXTENSOMETER in names:
+                if EXTENSOMETER in names and self._begun:
                     self._require_zero_of_strain("the extensometer was started again")
                 if without_reference and self._rig.reference >= 0:
-                    if self.references and not self._is_new_reference:
+                    if self.has_reference and not self._is_new_reference:
                         self._require_zero_of_strain(f"{_in_words(without_reference)} lost the reference")
                     self._set_reference()
                     self._progress.note(
                         f"{_in_words(without_reference)} lost the reference: until the end of the programme, or the "
                         "next reference in it, displacements count from the next step; afterwards all steps are "
-                        "measured again against the references of the programme"
+                        "measured again from the recorded frames against the references of before"
                     )
                 return
             except NodeDiedError as another:
@@ -459,7 +481,7 @@ class _Driver:
         waits_for = ""
         while True:
             try:
-                return self._rig.set_reference()
+                return self._rig.set_reference(previous_lost=True)
             except StepFailedError as refusal:
                 if str(refusal) != waits_for:
                     self._progress.note(f"the programme waits: {refusal}")
@@ -484,10 +506,10 @@ class _Driver:
         self._awaited |= dict.fromkeys(dead, time.time_ns())
         for name, how in dead.items():
             self._running.restart(name, **self._changes(name))
-            self._progress.note(
-                f"{name} {how} (see {self._running.log(name)}); it is started again, and step {self.number} is repeated"
-            )
-        self.interrupt()
+            repeated = f", and step {self.number} is repeated" if self._begun else ""
+            self._progress.note(f"{name} {how} (see {self._running.log(name)}); it is started again{repeated}")
+        if self._begun:
+            self.interrupt()
         self._rig.wait_until_started(self._awaited, RESTART_S)
 
     def _changes(self, name: str) -> dict[str, Any]:
@@ -499,8 +521,10 @@ class _Driver:
             It cannot continue there.
         """
         entry = next(each for each in self._running.graph.nodes if each.name == name)
-        if name == "recorder" and entry.parameters["bag_path"]:
+        if name == "recorder" and Path(entry.parameters["bag_path"] or "none").exists():
             return {"bag_path": str(next_part(Path(entry.parameters["bag_path"]).with_name(BAG)))}
+        if not self._begun:
+            return {}  # it begins
         if name == "experiment":
             # the interrupted step has a number already, which may not have been published
             number = max(self._rig.highest_step(entry.parameters["experiment"]), self._rig.last_step + 1)

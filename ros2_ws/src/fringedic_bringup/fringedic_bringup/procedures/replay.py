@@ -14,6 +14,7 @@ from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
+from fringedic.steps.recorded_references import recorded_steps_and_references
 from fringedic.steps.recorded_rig import missing_settings, recorded_setup, require_calibration, require_reference
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import replay_graph
@@ -40,7 +41,8 @@ def replay(  # noqa: PLR0913 (options of a public function, all by keyword)
 ) -> Path:
     """Process a recording again by the nodes and return the new recording.
 
-    With the recorded parameters the derived topics are bit-identical, for any number of threads.
+    With the recorded parameters the derived topics are bit-identical, for any number of threads; where nodes had lost
+    the reference they differ, because the steps count from the reference of before (`RecordedReferences`).
 
     Parameters
     ----------
@@ -185,11 +187,7 @@ def _count_steps(reader: BagReader, chosen: set[int], reference: int | None) -> 
         A chosen step is not in the recording.
     """
     reader.find("camera/image_raw", "camera/exposure", "experiment/step")
-    names = reader.find_optional("experiment/step", "experiment/reference")
-    steps: set[int] = set()
-    references: set[int] = set()
-    for topic, message, _ in reader.messages(names.values()):
-        (steps if topic == names["experiment/step"] else references).add(message.step)
+    steps, references = recorded_steps_and_references(reader)
     requested = chosen if reference is None else chosen | {reference}
     absent = sorted(requested - steps)
     if absent:

@@ -61,11 +61,13 @@ class RecordedRig:
         one = self.maps.experiment.isel(step=index)
         scalars = {name: float(one[name]) for name in ("valid_fraction", "rms_displacement") if name in one}
         signals = {name: float(one[name]) for name in signal_names(one)}
+        reference = int(one["reference_step"]) if "reference_step" in one else -1
         return {
             "step": int(one.step),
             "mapped": mapped,
             "error": str(one.error.item()),
             "signals": signals,
+            "reference_step": None if reference < 0 else reference,
             **scalars,
         }
 

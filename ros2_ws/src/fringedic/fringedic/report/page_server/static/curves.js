@@ -10,6 +10,7 @@ const VALUES = {
   step: ["step", 1], valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
   strain: ["strain of the extensometer [µstrain]", 1e6],
 };
+const RELATIVE = ["rms_displacement", "strain"]; // to the reference step
 const SIGNAL = "signal ";
 const kept = { x: `${SIGNAL}position`, y: `${SIGNAL}force` };
 
@@ -44,10 +45,12 @@ export function show(place) {
   const paint = () => {
     const [[x, across], [y, up]] = [axis(kept.x), axis(kept.y)];
     const sigma = (step) => (kept.y === "strain" ? scaled(step.sigma_strain, VALUES.strain[1]) : 0);
-    drawn.replaceChildren(chart(steps.map((step) => [across(step), up(step), sigma(step)]), { x, y }));
+    const relative = [kept.x, kept.y].some((key) => RELATIVE.includes(key)), state = (step) => (relative ? step.reference_step : undefined);
+    drawn.replaceChildren(chart(steps.map((step) => [across(step), up(step), sigma(step), state(step)]), { x, y }));
     hint.hidden = ![kept.x, kept.y].includes("strain") || extensometer.points.length === 2;
-    table.replaceChildren(make("tr", {}, make("th", {}, x), make("th", {}, y)),
-      ...steps.map((step) => make("tr", {}, ...[across, up].map((value) => make("td", {}, cell(value(step)))))));
+    const columns = relative ? [[x, across], [y, up], ["relative to step", (step) => step.reference_step ?? NaN]] : [[x, across], [y, up]];
+    table.replaceChildren(make("tr", {}, ...columns.map(([name]) => make("th", {}, name))),
+      ...steps.map((step) => make("tr", {}, ...columns.map(([, value]) => make("td", {}, cell(value(step)))))));
   };
   place.replaceChildren(make("section", { class: "panel" },
     make("div", { class: "row" }, make("label", {}, "Across", choices.x), make("label", {}, "Up", choices.y)), drawn, hint,
