@@ -4,6 +4,12 @@
 _fringedic_root=$(cd "$(dirname "${BASH_SOURCE[0]:-${(%):-%x}}")/.." && pwd)
 _fringedic_venv=$_fringedic_root/.venv
 _fringedic_install=$_fringedic_root/ros2_ws/install
+_fringedic_distribution=$(cat "$_fringedic_venv/stamps/distribution" 2>/dev/null)
+if [ -n "${ROS_DISTRO:-}" ] && [ "$ROS_DISTRO" != "$_fringedic_distribution" ]; then
+    echo "fringedic was built for ROS 2 ${_fringedic_distribution:-(not yet)} and ROS 2 $ROS_DISTRO is sourced:" \
+        "run \`make setup\` in this shell, or open a new shell" >&2
+    return 1 2>/dev/null || exit 1
+fi
 _fringedic_site=$(echo "$_fringedic_venv"/lib/python3.*/site-packages)
 
 if [ -d "$_fringedic_site/rclpy" ]; then
@@ -16,6 +22,7 @@ if [ -d "$_fringedic_site/rclpy" ]; then
     *) [ ! -f "$_fringedic_venv/lib/unlimited_wait.so" ] ||
         export LD_PRELOAD=$_fringedic_venv/lib/unlimited_wait.so${LD_PRELOAD:+:$LD_PRELOAD} ;;
     esac
+    export ROS_DISTRO=$_fringedic_distribution # recordings state it
     export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 # the paths are set: Python need not start a second time to set them
 else
     AMENT_PREFIX_PATH=$_fringedic_install${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}
@@ -26,4 +33,4 @@ PATH=$_fringedic_venv/bin:$_fringedic_install/bin:$PATH
 export PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH
 unset PYTHONDONTWRITEBYTECODE # containers set it; each node would compile all libraries again at every start
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
-unset _fringedic_root _fringedic_venv _fringedic_install _fringedic_site
+unset _fringedic_root _fringedic_venv _fringedic_install _fringedic_site _fringedic_distribution

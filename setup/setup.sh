@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds everything that `make demo` and `make test` need, inside the checkout, without root: the Python environment from
-# the lock file, ROS 2 from PyPI (unless a ROS 2 installation is sourced), the workspace, the compiled kernels.
+# the lock files, ROS 2 from PyPI (unless a ROS 2 installation is sourced), the workspace, the compiled kernels.
+# ROS=kilted selects another distribution from PyPI than Jazzy, which is supported longest of those that PyPI has.
 # What has not changed since the last time is not done again. Details go to setup.log.
 set -euo pipefail
 
@@ -10,6 +11,7 @@ venv=$root/.venv
 stamps=$venv/stamps
 log=$root/setup.log
 needed_mb=4000 # 2.3 GB stay; built distributions and the workspace come on top
+pythons="3.11, 3.12, 3.13 or 3.14"
 
 stop() {
     printf 'set-up: %s\n' "$1" >&2
@@ -46,7 +48,7 @@ run() {
 describe() {
     "$1" - <<'QUESTION' 2>/dev/null
 import importlib.util, os, sys, sysconfig
-if not (3, 11) <= sys.version_info[:2] <= (3, 13):
+if not (3, 11) <= sys.version_info[:2] <= (3, 14):
     sys.exit(1)
 executable = os.path.realpath(sys._base_executable)
 venv = all(importlib.util.find_spec(module) for module in ("venv", "ensurepip"))
@@ -58,13 +60,13 @@ QUESTION
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
-        describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13: name one that is, or unset PYTHON"
+        describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python $pythons: name one that is, or unset PYTHON"
         return
     fi
-    for candidate in "$@" python3 python3.12 python3.13 python3.11; do
+    for candidate in "$@" python3 python3.12 python3.13 python3.14 python3.11; do
         describe "$candidate" && return
     done
-    stop "Python 3.11, 3.12 or 3.13 is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
+    stop "Python $pythons is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
 }
 
 # Debian keeps the headers of Python in a package of their own; unpacked inside the environment they need no root.
@@ -95,7 +97,7 @@ install_packages() {
     [ -z "$index" ] || export UV_DEFAULT_INDEX=$index
     [ -z "$certificate" ] || export SSL_CERT_FILE=$certificate
     "$venv/bin/uv" pip install --no-config --no-progress --python "$venv/bin/python" --cache-dir "$venv/cache" \
-        --require-hashes --no-deps --requirement "$1" || return
+        --require-hashes --no-deps "${@/#/--requirement=}" || return
     rm -rf "$venv/cache"
 }
 
@@ -112,22 +114,46 @@ done_for() {
     printf '%s' "$2" >"$stamps/$1"
 }
 
-# A sourced ROS 2 installation is used as it is; its compiled messages need NumPy 1.
+# The prefixes of the ROS 2 installations that are sourced: each has its own rclpy.
+sourced=()
+IFS=: read -ra prefixes <<<"${AMENT_PREFIX_PATH:-}"
+for prefix in "${prefixes[@]}"; do
+    if [ "$prefix" != "$venv" ] && [ -f "$prefix/share/rclpy/package.xml" ]; then
+        sourced+=("$prefix")
+    fi
+done
+[ ${#sourced[@]} -le 1 ] ||
+    stop "several ROS 2 installations are sourced (${sourced[*]}): open a new shell and source one"
+
+# A sourced ROS 2 installation is used as it is, with the NumPy that its messages are compiled for.
 if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; then
+    case $ROS_DISTRO in
+    jazzy | kilted | lyrical) ;;
+    *) stop "ROS 2 $ROS_DISTRO is sourced, and fringedic runs on jazzy, kilted and lyrical: source one of these, or start from a shell without ROS 2" ;;
+    esac
+    [ "${ROS:-$ROS_DISTRO}" = "$ROS_DISTRO" ] ||
+        stop "ROS=$ROS was requested and ROS 2 $ROS_DISTRO is sourced: unset ROS, or start from a shell without ROS 2"
+    distribution=$ROS_DISTRO
     interpreter=$(find_python)
-    lock=$root/setup/requirements-stock.lock
+    locks=("$root/setup/requirements-stock.lock")
     venv_options=(--system-site-packages)
     message_options=() # C++ programs of this installation read the messages
-    ros="Python packages beside ROS 2 $ROS_DISTRO"
+    ros="Python packages beside ROS 2 $distribution"
 else
+    # The distribution that was used before stays the one in use.
+    distribution=${ROS:-$(cat "$stamps/distribution" 2>/dev/null || echo jazzy)}
+    case $distribution in
+    jazzy | kilted) ;;
+    *) stop "ROS=$distribution is not on the Python package index: select jazzy or kilted, or source ROS 2 $distribution and unset ROS" ;;
+    esac
     [ "$(uname -sm)" = "Linux x86_64" ] ||
-        stop "ROS 2 comes from PyPI for Linux on x86-64 only: install ROS 2 Jazzy, source its setup.bash and start again"
+        stop "ROS 2 comes from PyPI for Linux on x86-64 only: install ROS 2 (Jazzy, Kilted or Lyrical), source its setup.bash and start again"
     interpreter=$(find_python "$venv/bin/python3")
-    lock=$root/setup/requirements-ros.lock
+    locks=("$root/setup/requirements.lock" "$root/setup/requirements-$distribution.lock")
     venv_options=()
     # messages without C++, and less optimisation: conversions of small messages never return the time of the compiler
     message_options=(-DPYTHON_ONLY=ON -DCMAKE_C_FLAGS_RELEASE=-O1 -DCMAKE_CXX_FLAGS_RELEASE=-O1)
-    ros="Python packages and ROS 2 Jazzy"
+    ros="Python packages and ROS 2 $distribution"
 fi
 IFS='|' read -r version python python_include has_venv <<<"$interpreter"
 [ "$has_venv" = True ] ||
@@ -136,8 +162,12 @@ for compiler in gcc g++; do
     command -v "$compiler" >/dev/null ||
         stop "the compiler $compiler is missing: install it (Debian, Ubuntu: sudo apt install g++) and start again"
 done
-[ -z "${venv_options[*]}" ] || "$python" -c 'import rclpy' 2>/dev/null ||
-    stop "ROS 2 $ROS_DISTRO is sourced and $python cannot import its rclpy: name the Python it was built for with PYTHON=..., or start from a shell without ROS 2"
+if [ -n "${venv_options[*]}" ]; then
+    "$python" -c 'import rclpy' 2>/dev/null ||
+        stop "ROS 2 $distribution is sourced and $python cannot import its rclpy: name the Python it was built for with PYTHON=..., or start from a shell without ROS 2"
+    "$python" -c 'from sensor_msgs.msg import CameraInfo; CameraInfo.__import_type_support__()' 2>/dev/null ||
+        stop "the messages of ROS 2 $distribution do not load with the NumPy of $python ($("$python" -c 'import numpy; print(numpy.__version__, numpy.__file__)' 2>/dev/null || echo none)): remove that NumPy and use the one that ROS 2 installs (Debian, Ubuntu: sudo apt install python3-numpy)"
+fi
 
 exec 9>"$root/.setup.lock"
 flock 9 # two makes at once: the second waits
@@ -147,7 +177,7 @@ if [ ! -f "$python_include/Python.h" ]; then
     export CPATH=$venv/headers/usr/include
 fi
 
-environment="$root $interpreter $(sha256sum <"$lock") ${venv_options[*]:-}"
+environment="$root $distribution $interpreter $(cat "${locks[@]}" | sha256sum) ${venv_options[*]:-}"
 if ! current environment "$environment"; then
     free_mb=$(df -Pm "$root" | awk 'NR == 2 { print $4 }')
     [ "$free_mb" -ge "$needed_mb" ] ||
@@ -159,8 +189,9 @@ if ! current environment "$environment"; then
     run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
     run "installer of the packages" "$venv/bin/python" -m pip install --no-compile --disable-pip-version-check --no-input \
         --require-hashes --no-deps --requirement "$root/setup/requirements-installer.lock"
-    run "$ros" install_packages "$lock"
+    run "$ros" install_packages "${locks[@]}"
     [ -n "${venv_options[*]}" ] || run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
+    done_for distribution "$distribution"
     done_for environment "$environment"
 fi
 
@@ -170,6 +201,7 @@ if [ -z "${venv_options[*]}" ] && ! current waits "$waits"; then
     done_for waits "$waits"
 fi
 
+[ -n "${venv_options[*]}" ] || unset ROS_DISTRO # of the distribution that this environment had before
 # shellcheck source=/dev/null
 . "$root/setup/environment.sh"
 

@@ -44,7 +44,7 @@ def bag_metadata(files: Sequence[WrittenFile], topics: Iterable[Topic], counts: 
         "relative_file_paths": [file.name for file in files],
         "files": [_file(file) for file in files],
         "custom_data": {"fringedic_version": __version__},
-        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        "ros_distro": os.environ.get("ROS_DISTRO", "unknown"),
     }
 
 
