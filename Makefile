@@ -3,6 +3,7 @@
 # make test   make check, then tests of the nodes, the running system, the pages and the notebooks
 # make coverage       make check with the lines that the unit tests of the library leave out
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
+# make test-matrix    every ROS 2 distribution with every Python of this computer, in fresh clones; 20 minutes each
 # make test-hardware  the tests that need system packages: real devices, a browser
 # make docs   the documentation site in docs/_build/html; warnings are errors
 # make bench  measured figures with their targets
@@ -13,7 +14,7 @@ SHELL := /bin/bash
 ENVIRONMENT := . setup/environment.sh
 OUTPUT ?= demo
 
-.PHONY: help setup demo check test coverage test-stock test-hardware docs bench clean
+.PHONY: help setup demo check test coverage test-stock test-matrix test-hardware docs bench clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -35,6 +36,9 @@ coverage: setup
 
 test-stock: setup
 	@$(ENVIRONMENT) && python -m pytest -m stock
+
+test-matrix: setup
+	@$(ENVIRONMENT) && python benchmarks/distributions.py
 
 test-hardware: setup
 	@setup/hardware.sh && $(ENVIRONMENT) && python -m pytest -m "hardware or browser"

@@ -76,7 +76,7 @@ def test_missing_compiler(machine: Machine, compiler: str) -> None:
 def test_old_python(machine: Machine) -> None:
     machine.replace("python3", 'if [ "$1" = --version ]; then echo Python 3.9.2; else exit 1; fi')
     sentence = machine.complaint()
-    assert "Python 3.11, 3.12 or 3.13 is needed and Python 3.9.2 was found: install one" in sentence
+    assert "Python 3.11, 3.12, 3.13 or 3.14 is needed and Python 3.9.2 was found: install one" in sentence
 
 
 def test_no_python(machine: Machine) -> None:
@@ -96,7 +96,7 @@ def test_another_python_serves_when_python3_is_too_old(machine: Machine, place: 
 
 def test_named_python_does_not_suit(machine: Machine) -> None:
     machine.environment["PYTHON"] = "/bin/false"
-    assert "PYTHON=/bin/false is not Python 3.11, 3.12 or 3.13: name one that is" in machine.complaint()
+    assert "PYTHON=/bin/false is not Python 3.11, 3.12, 3.13 or 3.14: name one that is" in machine.complaint()
 
 
 def test_missing_venv_module(machine: Machine) -> None:
@@ -114,12 +114,63 @@ def test_missing_headers_that_cannot_be_fetched(machine: Machine) -> None:
 
 def test_other_processor(machine: Machine) -> None:
     machine.replace("uname", "echo Linux aarch64")
-    assert "install ROS 2 Jazzy, source its setup.bash and start again" in machine.complaint()
+    assert "install ROS 2 (Jazzy, Kilted or Lyrical), source its setup.bash" in machine.complaint()
 
 
 def test_sourced_ros_of_another_python(machine: Machine) -> None:
     machine.environment["ROS_DISTRO"] = "jazzy"
     assert "ROS 2 jazzy is sourced and" in machine.complaint()
+
+
+def test_two_sourced_distributions(machine: Machine) -> None:
+    prefixes = [machine.bin.parent / name for name in ("jazzy", "kilted")]
+    for prefix in prefixes:
+        (prefix / "share" / "rclpy").mkdir(parents=True)
+        (prefix / "share" / "rclpy" / "package.xml").touch()
+    machine.environment |= {"ROS_DISTRO": "kilted", "AMENT_PREFIX_PATH": ":".join(map(str, prefixes))}
+    assert f"several ROS 2 installations are sourced ({prefixes[0]} {prefixes[1]}): open a new" in machine.complaint()
+
+
+@pytest.mark.parametrize(
+    ("sourced", "requested", "sentence"),
+    [
+        ("humble", "", "ROS 2 humble is sourced, and fringedic runs on jazzy, kilted and lyrical: source one of these"),
+        ("jazzy", "kilted", "ROS=kilted was requested and ROS 2 jazzy is sourced: unset ROS"),
+        ("", "lyrical", "ROS=lyrical is not on the Python package index: select jazzy or kilted, or source ROS 2 lyr"),
+    ],
+)
+def test_distribution_that_cannot_be_had(machine: Machine, sourced: str, requested: str, sentence: str) -> None:
+    machine.environment |= {"ROS_DISTRO": sourced, "ROS": requested}
+    assert sentence in machine.complaint()
+
+
+def test_numpy_that_the_sourced_ros_did_not_bring(machine: Machine) -> None:
+    """The compiled messages of a distribution do not load with a NumPy of another major version."""
+    modules = machine.bin.parent / "modules"
+    (modules / "sensor_msgs").mkdir(parents=True)
+    (modules / "rclpy.py").touch()
+    (modules / "numpy.py").write_text('__version__ = "9.9"')
+    (modules / "sensor_msgs" / "msg.py").write_text('raise ImportError("compiled for another NumPy")')
+    machine.environment |= {"ROS_DISTRO": "jazzy", "PYTHONPATH": str(modules)}
+    sentence = machine.complaint()
+    assert f"do not load with the NumPy of {PYTHON} (9.9 {modules}/numpy.py): remove that NumPy" in sentence
+
+
+def test_environment_of_another_distribution(tmp_path: Path) -> None:
+    """Sourcing the environment beside another ROS 2 than it was built for changes nothing."""
+    (tmp_path / "setup").mkdir()
+    (tmp_path / ".venv" / "stamps").mkdir(parents=True)
+    (tmp_path / ".venv" / "stamps" / "distribution").write_text("kilted")
+    script = shutil.copy(ROOT / "setup" / "environment.sh", tmp_path / "setup")
+    done = subprocess.run(
+        ["bash", "-c", f'. "{script}"; echo $? "$PATH"'],
+        env={"PATH": os.environ["PATH"], "ROS_DISTRO": "jazzy"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == f"1 {os.environ['PATH']}\n"
+    assert "built for ROS 2 kilted and ROS 2 jazzy is sourced: run `make setup` in this shell" in done.stderr
 
 
 def test_too_little_space_to_begin_with(machine: Machine) -> None:
