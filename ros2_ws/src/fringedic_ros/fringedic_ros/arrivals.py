@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic.wording.numbers import number_text
+
+if TYPE_CHECKING:  # the name of this module depends on the distribution
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 MOST_AHEAD_S = 0.1  # by which a stamp may be later than the arrival of its message: synchronised clocks differ by less
 MOST_BEHIND_S = 1.0  # by which it may be earlier

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.task import Future
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic_msgs.srv import CountReaders
+
+if TYPE_CHECKING:  # the name of this module depends on the distribution
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 ASK_AGAIN_S = 0.05  # [s] after a response with missing readers
 UNANSWERED_S = 1.0  # [s] after which a request may be lost, or its server has ended

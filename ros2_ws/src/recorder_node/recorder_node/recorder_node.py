@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
@@ -32,6 +31,9 @@ from fringedic_ros.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SA
 from recorder_node.exposure_tally import ExposureTally
 from recorder_node.step_tally import StepTally
 from recorder_node.writing_thread import ReceivedMessage, WritingThread
+
+if TYPE_CHECKING:  # the name of this module depends on the distribution
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_PERIOD_S = 0.1
 # Both depths outlast a recorder without processor time: images for four seconds, samples at 1 kHz for ten.

@@ -6,13 +6,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
 from camera_node.drivers.driver import Frame, Scene
@@ -25,6 +25,9 @@ from fringedic_ros.arrivals import MOST_BEHIND_S, Arrivals, Problem, stamp_probl
 from fringedic_ros.images import image_array
 from fringedic_ros.rig_node import FIXED_QOS
 from fringedic_ros.stamps import to_nanoseconds
+
+if TYPE_CHECKING:  # the name of this module depends on the distribution
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _TYPE = "sensor_msgs/msg/Image"
 _WAITING = 8  # images that may wait in this process and in the middleware

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from typing import TYPE_CHECKING
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic.errors import RecordingError
 from fringedic.export.foxglove import TopicServer
@@ -15,6 +15,9 @@ from fringedic.recording.definitions import interface_definition
 from fringedic_bringup.participant import Participant
 from fringedic_ros.qos import LATCHED_BY_MANY, PREVIEWS
 from fringedic_ros.serialized import message_type
+
+if TYPE_CHECKING:  # the name of this module depends on the distribution
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_PERIOD_S = 1.0
 PERIOD_S = 0.05
