@@ -47,7 +47,13 @@ def test_the_documentation_has_such_lines() -> None:
 
 
 def test_the_environment_is_that_of_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FRINGEDIC_SEGMENT_BYTES", "FRINGEDIC_ADDRESS", "MALLOC_ARENA_MAX"):
+    for name in (
+        "FASTRTPS_DEFAULT_PROFILES_FILE",
+        "FASTDDS_DEFAULT_PROFILES_FILE",
+        "FRINGEDIC_SEGMENT_BYTES",
+        "FRINGEDIC_ADDRESS",
+        "MALLOC_ARENA_MAX",
+    ):
         monkeypatch.delenv(name, raising=False)
     expected = node_environment()
     for node in launched(monkeypatch, rig="tiny", folder=str(tmp_path / "run")):

@@ -43,7 +43,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     """
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
+    environment.setdefault(_profile_variable(environment), str(configuration("fastdds.xml")))
     environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
     environment.setdefault("FRINGEDIC_ADDRESS", own_address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
     environment |= {
@@ -60,6 +60,11 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     if domain is not None:
         environment["ROS_DOMAIN_ID"] = str(domain)
     return environment
+
+
+def _profile_variable(environment: Mapping[str, str]) -> str:
+    """Return the variable that names the profile of Fast DDS: version 2 is that of Jazzy, later ones have version 3."""
+    return f"FAST{'RTPS' if environment.get('ROS_DISTRO', 'jazzy') == 'jazzy' else 'DDS'}_DEFAULT_PROFILES_FILE"
 
 
 def _segment_bytes() -> int:
