@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from fringedic.errors import ConfigurationError
 from fringedic.wording.causes import cause_of
+from fringedic.wording.sealed_yaml import unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 FIRST_STEP = "first_step"
@@ -180,7 +181,8 @@ class NoiseFloorMetadata(_Entries):
             The file cannot be read or holds no noise floor.
         """
         try:
-            return cls.model_validate(load_yaml(Path(path).read_text("utf-8")))
+            content, _ = unsealed(load_yaml(Path(path).read_text("utf-8")), str(path))
+            return cls.model_validate(content)
         except OSError as error:
             raise ConfigurationError(f"{path}: cannot be read: {cause_of(error)}") from error
         except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:

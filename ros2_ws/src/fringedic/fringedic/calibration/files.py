@@ -18,6 +18,7 @@ from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding, GridFinding
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
+from fringedic.wording.sealed_yaml import EDITED_WORDS, sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 _VERSION = 2  # 1: verdict, warnings and problems were sentences
@@ -49,8 +50,8 @@ _FIT_UNITS: dict[str, tuple[str, float]] = {
 }
 
 
-def write_fit(fit: FitResult, path: Path) -> None:
-    """Write the figures of a calibration, without its model and its map of residuals."""
+def write_fit(fit: FitResult, path: Path, residual_map_sha256: str) -> None:
+    """Write the figures of a calibration, and the hash of the file with its map of residuals, without its model."""
     content = {
         "version": _VERSION,
         "created": fit.created.isoformat(),
@@ -67,12 +68,15 @@ def write_fit(fit: FitResult, path: Path) -> None:
         "candidates": [_to_people(each, _CANDIDATE_UNITS) for each in fit.candidates],
         "parameters": [_to_people(each, {}) for each in fit.parameters],
         "correlation": fit.correlation.tolist(),
+        "residual_map_sha256": residual_map_sha256,
     }
-    path.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    path.write_text(yaml.safe_dump(sealed(content), sort_keys=False, allow_unicode=True), encoding="utf-8")
 
 
-def read_fit(path: Path) -> dict[str, Any]:
-    """Return the fields of the `FitResult` that `write_fit` wrote, also of older versions.
+def read_fit(path: Path) -> tuple[dict[str, Any], str | None]:
+    """Return the fields of the `FitResult` that `write_fit` wrote, and the hash of the file of its residuals.
+
+    In files of older versions the hash is missing.
 
     Raises
     ------
@@ -81,7 +85,7 @@ def read_fit(path: Path) -> dict[str, Any]:
     KeyError, TypeError, ValueError, yaml.YAMLError
         The content is not that of such a file, or of a newer version.
     """
-    content = load_yaml(path.read_text(encoding="utf-8"))
+    content, edited = unsealed(load_yaml(path.read_text(encoding="utf-8")), str(path))
     if content["version"] > _VERSION:
         raise ValueError(f"version {content['version']} is newer than this program")
     if content["version"] == 1:
@@ -101,9 +105,9 @@ def read_fit(path: Path) -> dict[str, Any]:
                 for each in content["planes"]
             ],
         }
-    return {
+    fields = {
         **{name: content[people] * unit for name, (people, unit) in _FIT_UNITS.items()},
-        "summary": content["summary"],
+        "summary": f"{EDITED_WORDS}: {content['summary']}" if edited else content["summary"],
         "variant": ModelVariant(content["variant"]),
         "chi_square": content["chi_square"],
         "orientation": Orientation[content["orientation"].upper()],
@@ -117,6 +121,7 @@ def read_fit(path: Path) -> dict[str, Any]:
         "correlation": np.array(content["correlation"], float),
         "created": datetime.fromisoformat(content["created"]),
     }
+    return fields, content.get("residual_map_sha256")
 
 
 def _plane_values(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CheckMetadata
+from fringedic.wording.sealed_yaml import sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 if TYPE_CHECKING:
@@ -55,7 +56,9 @@ def record_check(folder: str | Path, check: RigCheck, when: datetime, *, verdict
     entries = [each.model_dump(exclude_defaults=True) for each in [*recorded_checks(folder), metadata]]
     file = Path(folder) / CHECKS_FILE
     written = file.with_suffix(".part")
-    written.write_text(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120), encoding="utf-8")
+    written.write_text(
+        yaml.safe_dump(sealed({"checks": entries}), sort_keys=False, allow_unicode=True, width=120), encoding="utf-8"
+    )
     os.replace(written, file)
     return metadata
 
@@ -70,10 +73,12 @@ def recorded_checks(folder: str | Path) -> list[CheckMetadata]:
     """
     file = Path(folder) / CHECKS_FILE
     try:
-        return [CheckMetadata.model_validate(each) for each in load_yaml(file.read_text(encoding="utf-8")) or []]
+        content, _ = unsealed(load_yaml(file.read_text(encoding="utf-8")) or [], str(file))
+        entries = content["checks"] if isinstance(content, dict) else content  # a list in earlier versions
+        return [CheckMetadata.model_validate(each) for each in entries]
     except FileNotFoundError:
         return []
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, ValidationError) as error:
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValidationError) as error:
         raise CalibrationError(f"{file} does not contain checks of a calibration: {error}") from error
 
 

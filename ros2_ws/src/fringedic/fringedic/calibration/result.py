@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import io
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,6 +18,7 @@ from fringedic.calibration.files import read_fit, write_fit
 from fringedic.calibration.fit_results import FitResult
 from fringedic.errors import CalibrationError
 from fringedic.rig.model import RigModel
+from fringedic.wording.sealed_yaml import ChangedFileError
 
 MODEL_FILE = "calibration.yaml"
 FIT_FILE = "calibration_fit.yaml"
@@ -103,11 +106,12 @@ class RigCalibration(FitResult):
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.model.to_yaml(folder / MODEL_FILE)
-        write_fit(dataclasses.replace(self, summary=summary or self.summary), folder / FIT_FILE)
         compressed = {name: {"zlib": True} for name in self.residual_map.data_vars}
         # by way of memory: HDF5 ends the process when it cannot write to the disk
         content = self.residual_map.to_netcdf(engine="h5netcdf", encoding=compressed)
         (folder / RESIDUAL_FILE).write_bytes(content)
+        written = dataclasses.replace(self, summary=summary or self.summary)
+        write_fit(written, folder / FIT_FILE, hashlib.sha256(content).hexdigest())
         return folder / MODEL_FILE
 
     @classmethod
@@ -127,12 +131,20 @@ class RigCalibration(FitResult):
         path = Path(path)
         try:
             file = path / MODEL_FILE if path.is_dir() else path
-            values = read_fit(file.with_name(FIT_FILE))
+            values, digest = read_fit(file.with_name(FIT_FILE))
             model = RigModel.from_yaml(file)
-            with xr.open_dataset(file.with_name(RESIDUAL_FILE), engine="h5netcdf") as stored:
+            content = file.with_name(RESIDUAL_FILE).read_bytes()
+            if digest not in (None, hashlib.sha256(content).hexdigest()):
+                raise CalibrationError(
+                    f"{file.with_name(RESIDUAL_FILE)} has changed since it was written: restore it from a copy, or "
+                    "calibrate again"
+                )
+            with xr.open_dataset(io.BytesIO(content), engine="h5netcdf") as stored:
                 found = cls(model=model, residual_map=stored.load(), **values)
         except CalibrationError:
             raise
+        except ChangedFileError as error:
+            raise CalibrationError(f"{file.with_name(FIT_FILE)}: {error}") from error
         except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
             raise CalibrationError(f"{path} does not hold a calibration of the rig: {error!r}") from error
         # Two fits never agree in every digit: equal figures are those of the model.

@@ -152,8 +152,8 @@ def in_force_words(file: Path, now: datetime) -> list[str]:
     try:
         calibration = RigCalibration.load(file)
         checks = recorded_checks(file.parent)
-    except CalibrationError:
-        return [f"calibration {file}: its age and its quality are not known"]
+    except CalibrationError as error:
+        return [f"calibration {file}: its age and its quality are not known: {error}"]
     age = calibration.age(now)
     identifier = calibration.model.identifier
     words = [f"calibration {identifier}, {_span_in_words(age)} old. {verdict_sentence(calibration)}"]

@@ -23,6 +23,7 @@ from fringedic.camera.camera_info import CameraInfo, is_camera_info
 from fringedic.errors import GridError, ImageError
 from fringedic.wording.arguments import array, check_value, whole
 from fringedic.wording.causes import cause_of
+from fringedic.wording.sealed_yaml import sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 _INVERSE_STEPS = 60  # a field with a gradient below 0.6 px per pixel is inverted to 1e-12 px
@@ -304,7 +305,7 @@ class DistortionMap:
 
     def save(self, path: str | Path) -> None:
         """Write the field as YAML."""
-        text = yaml.safe_dump({"camera_distortion": self.to_dict()}, sort_keys=False, default_flow_style=None)
+        text = yaml.safe_dump(sealed({"camera_distortion": self.to_dict()}), sort_keys=False, default_flow_style=None)
         Path(path).write_text(text, encoding="utf-8")
 
     @classmethod
@@ -323,7 +324,7 @@ class DistortionMap:
             if is_camera_info(content):
                 camera = CameraInfo.of(content)
                 return cls(camera.width, camera.height, *camera.polynomials())
-            return cls.from_dict(content["camera_distortion"])
+            return cls.from_dict(unsealed(content, str(path))[0]["camera_distortion"])
         except GridError as error:
             raise GridError(f"{path}: {error}") from None
         except OSError as error:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.campaign.store import RECORDINGS, CampaignStore
-from fringedic.datasets.quantities import MAP_DIMENSIONS
-from fringedic.datasets.stores import TEXT, Variable, free_bytes
+from fringedic.campaign.store import RECORDINGS, CampaignStore, digest_of
+from fringedic.datasets.checked_store import ChecksummedStore
+from fringedic.datasets.checksums import CONTENT
+from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
+from fringedic.datasets.stores import Variable, free_bytes
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("campaign"):
@@ -57,8 +59,7 @@ class GroupStore:
     @property
     def digest(self) -> str:
         """SHA-256 over the names and SHA-256 of all objects of the group."""
-        lines = (f"{checksum}  {name}\n" for name, checksum in sorted(self._target.checksums.items()))
-        return hashlib.sha256("".join(lines).encode()).hexdigest()
+        return digest_of(self._target.checksums)
 
     @property
     def objects(self) -> int:
@@ -93,6 +94,8 @@ class GroupStore:
                 dtype=str if dtype == TEXT else dtype,
                 chunks=chunks,
                 fill_value=np.nan if dtype in ("f4", "f8") else None,
+                compressors=[zarr.codecs.ZstdCodec(level=0), zarr.codecs.Crc32cCodec()],
+                config={"write_empty_chunks": True},  # a removed chunk is no empty one
                 dimension_names=dimensions,
                 attributes=dict(attributes),
             )
@@ -139,8 +142,9 @@ class GroupStore:
         array.resize((self._steps, *array.shape[1:]))
 
 
-def join_parts(store: CampaignStore, parts: Sequence[str], target: GroupStore) -> None:
+def join_parts(store: CampaignStore, parts: Sequence[str], group: GroupStore) -> None:
     """Write the groups of the parts of a recording, in their order, as the group of the recording."""
+    target = ChecksummedStore(group)
     groups = [zarr.open_group(store.zarr_store(part, read_only=True), mode="r") for part in parts]
     arrays: list[dict[str, Any]] = [dict(group.arrays()) for group in groups]
     sizes = {
@@ -173,7 +177,7 @@ def _joined_attributes(attributes: Sequence[Mapping[str, Any]]) -> dict[str, Any
             for entry in json.loads(each["parameters"])
             if not settings or entry["parameters"] != settings[-1]["parameters"]
         ]
-    joined = {name: value for each in attributes for name, value in each.items()}
+    joined = {name: value for each in attributes for name, value in each.items() if name != CONTENT}
     return {**joined, "parameters": json.dumps(settings)}
 
 

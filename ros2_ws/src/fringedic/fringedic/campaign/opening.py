@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from fringedic.campaign.settings import store_address
-from fringedic.campaign.store import PLAN, RECEIPTS, CampaignStore
+from fringedic.campaign.store import PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.datasets.checksums import open_checked
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import CampaignError
 from fringedic.wording.arguments import check_arguments
@@ -62,14 +63,16 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
 
 
 def open_group(store: CampaignStore, recording: str) -> xr.Dataset:
-    """Open the dataset of one recording."""
-    dataset = xr.open_dataset(
-        store.zarr_store(recording, read_only=True),  # type: ignore[arg-type]
-        engine="zarr",
-        cache=False,
-        consolidated=True,
-    )
-    return with_millimetres(dataset)
+    """Open the dataset of one recording; its checksums are compared, those of maps when they are read.
+
+    Raises
+    ------
+    DatasetError
+        It is damaged.
+    """
+    place = f"{store.address}/{RECORDINGS}/{recording}"
+    source = store.zarr_store(recording, read_only=True)
+    return with_millimetres(open_checked(source, place, netcdf=False, consolidated=True))
 
 
 def _is_planned(receipt: dict[str, Any], unit: dict[str, Any]) -> bool:

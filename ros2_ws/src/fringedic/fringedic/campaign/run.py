@@ -109,6 +109,11 @@ def status_of(store: CampaignStore, plan: Plan) -> Status:
     return Status(plan, done, failed, begun, sorted(receipts.keys() - units.keys()))
 
 
+def damaged(store: CampaignStore, status: Status) -> list[str]:
+    """Return the names of the complete recordings whose objects are not those of their receipts; all are read."""
+    return [name for name, receipt in status.done.items() if store.digest(name) != receipt.digest]
+
+
 def update_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = False) -> Plan:
     """Make the plan of a campaign and write it to the store.
 

@@ -9,6 +9,7 @@ from typing import Any
 from fringedic.campaign.plan import Plan, Unit
 from fringedic.campaign.receipts import Failure, Receipt
 from fringedic.campaign.run import Status
+from fringedic.campaign.store import RECEIPTS, RECORDINGS
 from fringedic.wording.numbers import counted
 
 _SHOWN = 20  # failures, before the rest is counted
@@ -40,6 +41,22 @@ def status_sentences(status: Status) -> list[str]:
         *_list("failed", [failure.reason for failure in status.failed.values()]),
         *unplanned_sentences(status),
     ]
+
+
+def verification_sentences(status: Status, damaged: list[str]) -> list[str]:
+    """Return whether the results in a store are those of their receipts, and what to do with the others."""
+    if not damaged:
+        return [f"verified: all objects of {counted(len(status.done), 'recording')} have the checksum of their receipt"]
+    store = status.plan.store
+    reasons = _list(
+        "damaged",
+        [
+            f"{name}: {store}/{RECORDINGS}/{name} is not what was written; remove {store}/{RECEIPTS}/{name}.json and "
+            "repeat 'fringedic campaign run', which processes it again"
+            for name in damaged
+        ],
+    )
+    return list(reasons)
 
 
 def unplanned_sentences(status: Status) -> list[str]:

@@ -14,7 +14,9 @@ Nothing is appended to or resized in place. A file is seen as a whole or not at 
 
 from __future__ import annotations
 
+import hashlib
 import json
+import zlib
 from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,6 +37,7 @@ PLAN = "plan.json"
 RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
 BEGUN = "begun"  # recordings that a worker has begun, with the number of the attempt
 PARTS = "parts"  # receipts of parts of recordings
+_CHECKSUM = "crc32"  # key of each JSON object
 _PARTIAL = ".partial"  # ending of a file that is being written, here and by zarr
 
 
@@ -69,13 +72,13 @@ class CampaignStore:
         """Return a JSON object; None if there is none, or if it is not complete."""
         with self._named("read"):
             try:
-                return _document(self._files.cat_file(self._path(name)))
+                return _document(self._files.cat_file(self._path(name)), f"{self.address}/{name}")
             except FileNotFoundError:
                 return None
 
     def write(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a JSON object."""
-        self.put({name: json.dumps(document, indent=1).encode()})
+        self.put({name: json.dumps({**document, _CHECKSUM: _checksum(document)}, indent=1).encode()})
 
     def put(self, objects: Mapping[str, bytes]) -> None:
         """Write objects by their names."""
@@ -118,8 +121,20 @@ class CampaignStore:
             for each in present.values():
                 if isinstance(each, Exception):
                     raise each
-        found = {Path(path).stem: _document(present[path]) for path in paths if path in present}
+        found = {Path(path).stem: _document(present[path], path) for path in paths if path in present}
         return {name: document for name, document in found.items() if document is not None}
+
+    def digest(self, recording: str) -> str:
+        """Return the SHA-256 over the names and SHA-256 of all objects of the group of a recording, as its receipt."""
+        with self._named("read"):
+            self._files.invalidate_cache()
+            root = f"{self._path(f'{RECORDINGS}/{recording}')}/"
+            checksums = {
+                path.removeprefix(root): hashlib.sha256(self._files.cat_file(path)).hexdigest()
+                for path in self._files.find(root)
+                if not path.endswith(_PARTIAL)
+            }
+        return digest_of(checksums)
 
     def zarr_store(self, recording: str, *, read_only: bool = False) -> ZarrStore:
         """Return the Zarr store of a recording, whose root is its group."""
@@ -147,6 +162,12 @@ class CampaignStore:
             ) from error
 
 
+def digest_of(checksums: Mapping[str, str]) -> str:
+    """Return the SHA-256 over the names and SHA-256 of objects."""
+    lines = (f"{checksum}  {name}\n" for name, checksum in sorted(checksums.items()))
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
 def _inside(name: str) -> str:
     """Return a name after a check that it stays inside the store, whatever a plan or another worker calls a recording.
 
@@ -171,10 +192,35 @@ def _replace(file: Path, data: bytes) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _document(data: bytes) -> dict[str, Any] | None:
-    """Return a JSON object; None when a power cut, or a killed process of an earlier version, has left a part of it."""
+def _document(data: bytes, place: str) -> dict[str, Any] | None:
+    """Return a JSON object; None when a power cut, or a killed process of an earlier version, has left a part of it.
+
+    Raises
+    ------
+    CampaignError
+        It was changed since it was written.
+    """
+    whole = data.rstrip().endswith(b"}")
     try:
         found = json.loads(data)
     except ValueError:
+        if whole:
+            raise _damaged(place) from None
         return None
-    return found if isinstance(found, dict) else None
+    if not isinstance(found, dict):
+        return None
+    checksum = found.pop(_CHECKSUM, None)  # earlier versions wrote none
+    if checksum not in (None, _checksum(found)):
+        raise _damaged(place)
+    return found
+
+
+def _damaged(place: str) -> CampaignError:
+    return CampaignError(
+        f"{place} is damaged, its content is not what was written: remove it and repeat 'fringedic campaign run', "
+        "which makes it again"
+    )
+
+
+def _checksum(document: Mapping[str, Any]) -> str:
+    return f"{zlib.crc32(json.dumps(document, sort_keys=True).encode()):08x}"

@@ -108,15 +108,25 @@ def retry(
 
 
 @campaigns.command(epilog="Example: fringedic campaign status batch-7")
-def status(folder: Folder) -> None:
+def status(
+    folder: Folder,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Read all results, and compare their checksums with the receipts.")
+    ] = False,
+) -> None:
     """Say what is complete, failed and waiting, by the receipts in the store alone."""
     from fringedic.campaign import CampaignStore, read_plan, status_of
-    from fringedic.campaign.sentences import status_sentences
+    from fringedic.campaign.run import damaged
+    from fringedic.campaign.sentences import status_sentences, verification_sentences
     from fringedic.campaign.settings import store_address
 
     store = CampaignStore(store_address(folder))
     found = status_of(store, read_plan(store))
     say(*status_sentences(found))
+    if verify:
+        say(*verification_sentences(found, wrong := damaged(store, found)))
+        if wrong:
+            raise typer.Exit(1)
     _end(found)
 
 

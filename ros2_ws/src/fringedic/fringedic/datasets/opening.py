@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import JSON_ATTRIBUTES, sensor_of
+from fringedic.datasets.checksums import open_checked
 from fringedic.datasets.earlier_versions import translate
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.datasets.quantities import (
@@ -90,7 +91,8 @@ def open_experiment(path: str | os.PathLike[str], *, sensor: str | None = None) 
     DatasetError
         There are datasets of several sensors and none is chosen, or the dataset is that of another one. Or the file is
         no dataset of this library, has no step or a step number twice, or a variable or an attribute is
-        damaged or of another program.
+        damaged or of another program. Also when something has changed since it was written: the checksums of a map are
+        compared when it is read, all others at once.
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
@@ -264,11 +266,7 @@ def _open(file: Path | str, source: Any = None) -> xr.Dataset:
     if not netcdf:
         with optional_import("zarr"):
             import zarr  # noqa: F401 (xarray loads it)
-    try:
-        # without a cache: a loop over the maps of an experiment would fill the memory
-        dataset = xr.open_dataset(source or file, engine="h5netcdf" if netcdf else "zarr", cache=False)
-    except (OSError, ValueError, KeyError) as error:
-        raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
+    dataset = open_checked(file if source is None else source, str(file), netcdf=netcdf)
     fault = _fault(dataset)
     if fault:
         dataset.close()

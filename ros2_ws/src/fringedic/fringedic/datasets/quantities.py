@@ -11,6 +11,7 @@ from fringedic.errors import DatasetError
 from fringedic.surface.strain_measures import GREEN_LAGRANGE, STRAIN_MEASURE, TENSORS, flat_fields
 
 MAP_DIMENSIONS = ("step", "row", "column")
+TEXT = "text"  # type of a variable that NumPy has no name for
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
 MISSING_PARTS = "missing_parts"  # attribute: names of later parts of the run that the dataset lacks, as a JSON list

@@ -17,14 +17,16 @@ import h5py  # type: ignore[import-untyped]
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.checksums import CHECKED, CONTENT, checksums_of
+from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
 from fringedic.errors import DatasetError, ErrorCode
 from fringedic.frames.sensor import SENSOR, file_of
 from fringedic.wording.optional_packages import optional_import
 
 SUFFIXES = (".nc", ".zarr")
-TEXT = "text"
 _ROOM_LEFT = 10_000_000  # [byte] beside the maps: attributes, the index of the file
+# All metadata have checksums from this version of the format on, readable by HDF5 1.10 of 2016 and later
+_FORMAT = ("v110", "v110")
 _OF_A_SCALE = ("CLASS", "NAME", "REFERENCE_LIST")  # attributes that HDF5 writes itself
 
 
@@ -161,11 +163,57 @@ def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mappin
     """
     require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
     temporary = _temporary(target)
+    plain = _of_a_file(dataset)
+    numbers = [name for name, each in plain.variables.items() if each.ndim and each.dtype.kind in "biufM"]
+    sums = {name: {**dict((encoding or {}).get(str(name), {})), "fletcher32": True} for name in numbers}
     try:
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        plain.to_netcdf(temporary, engine="h5netcdf", encoding={**(encoding or {}), **sums})
+        with xr.open_dataset(temporary, engine="h5netcdf", decode_cf=False, cache=False) as raw:
+            text = checksums_of(raw)
+        with h5py.File(temporary, "r+") as file:
+            file.attrs[CONTENT] = text
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    """Write a dataset as Zarr of format 2, the version with the most readers.
+
+    Parameters
+    ----------
+    dataset, target, encoding
+        As of `save_netcdf`; an existing folder is replaced.
+
+    Raises
+    ------
+    FringedicError
+        The package ``zarr`` is not installed.
+    OSError
+        The folder cannot be written.
+    """
+    with optional_import("zarr"):
+        import zarr
+    _of_a_file(dataset).to_zarr(target, mode="w", zarr_format=2, encoding=encoding, write_empty_chunks=True)
+    with xr.open_dataset(target, engine="zarr", decode_cf=False, cache=False) as raw:
+        text = checksums_of(raw)
+    group = zarr.open_group(target, mode="r+", zarr_format=2)
+    group.attrs[CONTENT] = text
+    _consolidate(group)
+
+
+def _of_a_file(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset without what opening added to its attributes."""
+    kept = {name: value for name, value in dataset.attrs.items() if name != CHECKED}
+    return dataset.drop_attrs(deep=False).assign_attrs(kept)
+
+
+def _consolidate(group: Any) -> None:
+    import zarr
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about readers that do not know consolidated metadata: they need none
+        zarr.consolidate_metadata(group.store)
 
 
 def _temporary(target: Path) -> Path:
@@ -177,7 +225,7 @@ class NetcdfStore:
 
     def __init__(self, target: Path) -> None:
         self._target = target
-        self._file: Any = h5netcdf.File(_temporary(target), "w")
+        self._file: Any = h5netcdf.File(_temporary(target), "w", libver=_FORMAT)
         self._file.dimensions = {"step": None}
 
     @property
@@ -194,9 +242,9 @@ class NetcdfStore:
         for dimension in variable.dimensions:
             if dimension not in self._file.dimensions:
                 self._file.dimensions[dimension] = sizes[dimension]
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"fletcher32": variable.dtype != TEXT}  # HDF5 has none for texts
         if variable.dimensions == MAP_DIMENSIONS:
-            options = {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
+            options |= {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
         kind = h5py.string_dtype() if variable.dtype == TEXT else variable.dtype
         made = self._file.create_variable(variable.name, variable.dimensions, kind, **options)
         for key, value in variable.attributes.items():
@@ -234,7 +282,7 @@ def _end_growth(file: Path, dimension: str) -> None:
     Readers ask every variable for the length of a growing dimension, again for every other variable: opening a file
     with forty maps then takes seconds instead of tenths.
     """
-    with h5py.File(file, "r+") as content:
+    with h5py.File(file, "r+", libver=_FORMAT) as content:
         growing = content[dimension]
         variables = [
             variable
@@ -246,7 +294,7 @@ def _end_growth(file: Path, dimension: str) -> None:
         for variable in variables:
             variable.dims[0].detach_scale(growing)
         del content[dimension]
-        fixed = content.create_dataset(dimension, data=values)
+        fixed = content.create_dataset(dimension, data=values, fletcher32=True)
         fixed.attrs.update(attributes)
         fixed.make_scale(dimension)
         for variable in variables:
@@ -280,7 +328,12 @@ class ZarrStore:
         chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
         fill = np.nan if dtype in ("f4", "f8") else None  # readers take values that equal it as missing
         array = self._group.create_array(
-            variable.name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
+            variable.name,
+            shape=shape,
+            dtype=str if dtype == TEXT else dtype,
+            chunks=chunks,
+            fill_value=fill,
+            config={"write_empty_chunks": True},
         )
         array.attrs.update({"_ARRAY_DIMENSIONS": list(dimensions), **attributes})
         if dimensions[0] == "step":
@@ -301,12 +354,8 @@ class ZarrStore:
 
     def finish(self, attributes: Mapping[str, str]) -> None:
         """Write the attributes, close, and give the dataset its name."""
-        import zarr
-
         self._group.attrs.update(dict(attributes))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about readers that do not know consolidated metadata: they need none
-            zarr.consolidate_metadata(self._group.store)
+        _consolidate(self._group)
         old = self._target.with_name(f".{self._target.name}.old")
         if self._target.exists():
             self._target.replace(old)

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.datasets.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, Layout
+from fringedic.datasets.checked_store import ChecksummedStore
+from fringedic.datasets.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, TEXT, Layout
 from fringedic.datasets.rows import Row
 from fringedic.datasets.signals import series_name, sigma_name, time_name
-from fringedic.datasets.stores import TEXT, Store, Variable, create_store, require_room
+from fringedic.datasets.stores import Store, Variable, create_store, require_room
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
 from fringedic.signals import Signal, SignalValue
@@ -57,7 +58,7 @@ class DatasetWriter:
         self._last_error = ""
 
     def __enter__(self) -> DatasetWriter:
-        self._store = create_store(self._target) if isinstance(self._target, Path) else self._target
+        self._store = ChecksummedStore(create_store(self._target) if isinstance(self._target, Path) else self._target)
         self._variable("step", ("step",), "i8", "1", "load step")
         if self._layout.timed:
             self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")

@@ -16,9 +16,8 @@ import xarray as xr
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit, strain_words
 from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
-from fringedic.datasets.stores import save_netcdf
+from fringedic.datasets.stores import save_netcdf, save_zarr
 from fringedic.errors import ExportError
-from fringedic.wording.optional_packages import optional_import
 from fringedic.wording.path_names import path_name
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
@@ -170,10 +169,8 @@ def write_netcdf(dataset: xr.Dataset, file: Path) -> list[str]:
 
 def write_zarr(dataset: xr.Dataset, folder: Path) -> list[str]:
     """Write a dataset as it is, as Zarr."""
-    with optional_import("zarr"):
-        import zarr  # noqa: F401 (xarray loads it)
     sizes = (1, dataset.sizes["row"], dataset.sizes["column"])
-    dataset.drop_encoding().to_zarr(folder, mode="w", zarr_format=2, encoding=_encoding(dataset, "chunks", sizes))
+    save_zarr(dataset.drop_encoding(), folder, _encoding(dataset, "chunks", sizes))
     return []
 
 

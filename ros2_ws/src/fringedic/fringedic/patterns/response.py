@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import yaml
 
 from fringedic.errors import PatternError
 from fringedic.wording.arguments import check_value, number, several
+from fringedic.wording.sealed_yaml import sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 FULL_SCALE = 255  # of the projector
@@ -77,7 +78,7 @@ class ResponseCurve:
                 "sigma": round(self.sigma, 6),
             }
         }
-        Path(path).write_text(yaml.safe_dump(content, sort_keys=False))
+        Path(path).write_text(yaml.safe_dump(sealed(content), sort_keys=False))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -89,7 +90,7 @@ class ResponseCurve:
             The file cannot be read or contains no response curve.
         """
         try:
-            content: Any = load_yaml(Path(path).read_text("utf-8"))
+            content, _ = unsealed(load_yaml(Path(path).read_text("utf-8")), str(path))
             section = content["response_curve"]
             return cls(tuple(float(value) for value in section["brightness"]), float(section.get("sigma", 0.0)))
         except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.checksums import has_checksums
 from fringedic.datasets.quantities import MISSING_SETTINGS
 from fringedic.datasets.sentences import missing_settings_sentence, references_sentence
 from fringedic.evaluation.noise_floor import NoiseFloor
@@ -16,6 +17,7 @@ from fringedic.report.data import ReportData
 from fringedic.rig_setup.settings_sentences import warning_sentence
 from fringedic.steps.drift_marker import drift_of_steps
 from fringedic.steps.sentences import drift_sentence
+from fringedic.wording.sealed_yaml import EDITED_WORDS
 
 FEW_POINTS = 0.5  # share of measured points below which a step is named
 EXPLAINED = (0.8, 1.25)  # measured noise over the stated one: what the scatter of a few steps at rest explains
@@ -45,6 +47,7 @@ def warnings(data: ReportData, static: Sequence[int], floors: Sequence[NoiseFloo
         *_drift(data),
         *_texture(data),
         *_source(data.dataset),
+        *_integrity(data),
     ]
 
 
@@ -123,6 +126,17 @@ def _texture(data: ReportData) -> Iterator[str]:
     if data.advice is not None:
         for warning in data.advice.warnings:
             yield warning_sentence(warning, data.advice)
+
+
+def _integrity(data: ReportData) -> Iterator[str]:
+    if not has_checksums(data.dataset):
+        yield (
+            "the dataset contains no checksums, as those of earlier versions, so that damage of its file is not "
+            "noticed; 'fringedic process' makes it again with checksums"
+        )
+    identifier = str(data.calibration.get("identifier", ""))
+    if EDITED_WORDS in identifier:
+        yield f"the calibration is not as it was measured: {identifier}"
 
 
 def _source(dataset: xr.Dataset) -> Iterator[str]:

@@ -14,6 +14,7 @@ from fringedic.errors import CalibrationError
 from fringedic.frames.sensor import SENSOR
 from fringedic.rig.geometry import ADDED, RigGeometry
 from fringedic.wording.causes import cause_of
+from fringedic.wording.sealed_yaml import EDITED_WORDS, ChangedFileError, sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
 
 _MM, _DEGREE, _ONE = 1e-3, math.pi / 180, 1
@@ -61,7 +62,7 @@ def write_rig(geometry: RigGeometry, path: str | Path) -> None:
         **({} if distortion is None else {"camera_distortion": distortion.to_dict()}),
         "covariance_si": {"parameters": list(geometry.parameter_names), "values": list(geometry.covariance)},
     }
-    Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    Path(path).write_text(yaml.safe_dump(sealed(content), sort_keys=False), encoding="utf-8")
 
 
 def read_rig(path: str | Path) -> dict[str, Any]:
@@ -80,11 +81,20 @@ def read_rig(path: str | Path) -> dict[str, Any]:
         raise CalibrationError(f"cannot be read: {cause_of(error)}") from None
     except UnicodeDecodeError as error:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
-    return parse_rig(text)
+    return parse_rig(text, str(path))
 
 
-def parse_rig(text: str) -> dict[str, Any]:
+def parse_rig(text: str, place: str = "calibration") -> dict[str, Any]:
     """Return the fields of the `RigGeometry` (SI) from the text of a file that `write_rig` wrote.
+
+    The identifier of a file that was edited by hand says so, and with it everything that is made with the rig.
+
+    Parameters
+    ----------
+    text
+        Of the file.
+    place
+        The file, for the log.
 
     Raises
     ------
@@ -101,6 +111,7 @@ def parse_rig(text: str) -> dict[str, Any]:
                 "can replace the lens only: fringedic.camera.DistortionMap.load reads it; 'fringedic calibrate' "
                 "calibrates a rig"
             )
+        content, edited = unsealed(content, place)
         values: dict[str, Any] = {
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
@@ -112,7 +123,7 @@ def parse_rig(text: str) -> dict[str, Any]:
         return values | {
             "camera_distortion": None if distortion is None else DistortionMap.from_dict(distortion),
             "sensor": content.get("sensor", SENSOR),
-            "identifier": content["identifier"],
+            "identifier": _identifier(content["identifier"], edited=edited),
             "model": content["model"],
             "source": content["source"],
             "parameter_names": tuple(covariance["parameters"]),
@@ -120,8 +131,14 @@ def parse_rig(text: str) -> dict[str, Any]:
         }
     except KeyError as error:
         raise CalibrationError(f"{error.args[0]} is missing") from None
+    except ChangedFileError as error:
+        raise CalibrationError(str(error)) from None
     except (yaml.YAMLError, TypeError, AttributeError) as error:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
+
+
+def _identifier(text: str, *, edited: bool) -> str:
+    return f"{text} ({EDITED_WORDS})".strip() if edited and EDITED_WORDS not in text else text
 
 
 def _to_people(value: float | tuple[float, ...], unit: float) -> float | list[float]:

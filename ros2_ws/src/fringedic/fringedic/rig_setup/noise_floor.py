@@ -28,6 +28,7 @@ from fringedic.recording.frames import RecordedFrame, frames
 from fringedic.recording.reader import BagReader
 from fringedic.rig_setup.camera_noise import FEWEST_STEPS, EstimatedCameraNoise, estimate_camera_noise, thinned
 from fringedic.rig_setup.recommended_settings import strain_noise
+from fringedic.wording.sealed_yaml import sealed
 
 STRAIN_POINTS = 5  # of the strain window, where no rig defines one
 
@@ -55,7 +56,7 @@ class NoiseMeasurement:
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)
         file = target / "noise_floor.yaml"
-        content = yaml.safe_dump(self.metadata.model_dump(), sort_keys=False, allow_unicode=True)
+        content = yaml.safe_dump(sealed(self.metadata.model_dump()), sort_keys=False, allow_unicode=True)
         file.write_text(f"# Noise floor of the rig with the specimen at rest\n{content}", encoding="utf-8")
         return file
 

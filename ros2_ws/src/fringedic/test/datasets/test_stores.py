@@ -1,11 +1,13 @@
 """Writing of a whole dataset as NetCDF: a full disk and a failure leave the previous file as it was."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from fringedic.datasets.checksums import CONTENT
 from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import DatasetError, ErrorCode
 
@@ -23,6 +25,7 @@ def target(tmp_path):
 def test_an_existing_file_is_replaced_by_the_dataset(target):
     save_netcdf(DATASET, target)
     with xr.open_dataset(target, engine="h5netcdf") as saved:
+        assert "phase" in json.loads(saved.attrs.pop(CONTENT))["variables"]
         xr.testing.assert_identical(saved, DATASET)
     assert list(target.parent.iterdir()) == [target]
 

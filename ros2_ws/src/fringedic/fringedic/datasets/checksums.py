@@ -1,0 +1,220 @@
+"""Checksums of the content of a dataset: written with it, and checked whenever it is read.
+
+The checksums of HDF5 and Zarr cover chunks of numbers. Texts, attributes, names, dimensions and missing chunks are not
+covered by them, so that a dataset contains an attribute with a CRC-32 of everything that a reader gets: of the
+attributes, of each variable, and of each step of a map.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
+from fringedic.errors import DatasetError
+from fringedic.wording.causes import cause_of
+
+CONTENT = "content_checksums"
+"""Attribute of a file that contains the checksums."""
+CHECKED = "checksums"
+"""Attribute of an opened dataset that states whether its file contains checksums."""
+_CHECKED, _NONE = "CRC-32 of every variable and step, checked when it is read", "none"
+_FILL = "_FillValue"  # libraries write it; values that equal it are covered with the values
+_DIGITS = 8  # of a checksum
+AGAIN = "restore the file from a copy, or make it again from its recording with 'fringedic process'"
+
+
+def has_checksums(dataset: xr.Dataset) -> bool:
+    """Return whether the file of an opened dataset contains checksums; those of earlier versions contain none."""
+    return dataset.attrs.get(CHECKED) == _CHECKED
+
+
+def open_checked(source: Any, place: str, *, netcdf: bool, **options: Any) -> xr.Dataset:
+    """Open a dataset after a check of everything but its maps, which are checked when they are read.
+
+    Parameters
+    ----------
+    source
+        What xarray reads: a path, an open file or a store of Zarr.
+    place
+        The file, for messages.
+    netcdf
+        Whether it is NetCDF, otherwise Zarr.
+    options
+        Further ones of `xarray.open_dataset`.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be read, or the content is not what was written; also from every later access to a damaged map.
+    """
+    raw = None
+    try:
+        # without a cache: a loop over the maps of an experiment would fill the memory
+        engine = "h5netcdf" if netcdf else "zarr"
+        raw = xr.open_dataset(source, engine=engine, cache=False, decode_cf=False, **options)
+        return _checked(raw, place)
+    except Exception as error:  # of HDF5 and Zarr each part of a damaged file has its own
+        if raw is not None:
+            raw.close()
+        if isinstance(error, DatasetError):
+            raise
+        kind = "NetCDF" if netcdf else "Zarr"
+        raise DatasetError(f"{place}: cannot be read as {kind}: {cause_of(error)}; {AGAIN}") from error
+
+
+def load_checked(dataset: xr.Dataset) -> None:
+    """Read every map of an opened dataset, step by step, so that all its checksums are compared.
+
+    Raises
+    ------
+    DatasetError
+        A map is damaged.
+    """
+    for variable in dataset.variables.values():
+        if variable.dims == MAP_DIMENSIONS:
+            for index in range(variable.shape[0]):
+                variable[index].values  # noqa: B018
+
+
+def _checked(raw: xr.Dataset, place: str) -> xr.Dataset:
+    text = raw.attrs.pop(CONTENT, None)
+    if text is None:
+        return _decoded(raw, _NONE, place)
+    try:
+        sums = json.loads(text)
+        known: dict[str, dict[str, str]] = sums["variables"]
+        named = [(name, each["about"], each["values"]) for name, each in known.items()]
+    except (ValueError, TypeError, KeyError) as error:
+        raise DatasetError(f"{place}: the attribute '{CONTENT}' is damaged: {AGAIN}") from error
+    _require(_sum_of_attributes(raw.attrs) == sums.get("attributes"), place, "its attributes have")
+    _require(raw.variables.keys() == known.keys(), place, "the list of its variables has")
+    maps = {}
+    for name, about, values in named:
+        variable = raw.variables[name]
+        _require(_sum_of_description(variable) == about, place, f"dimensions, type or attributes of '{name}' have")
+        if variable.dims == MAP_DIMENSIONS:
+            _require(len(values) == _DIGITS * variable.shape[0], place, f"the number of steps of '{name}' has")
+            lazy = indexing.LazilyIndexedArray(_CheckedMap(variable, values, name, place))
+            maps[name] = xr.Variable(variable.dims, lazy, variable.attrs, variable.encoding)
+        else:
+            _require(sum_of(variable.values) == values, place, f"'{name}' has")
+    return _decoded(raw.assign(maps), _CHECKED, place, raw)
+
+
+def _decoded(raw: xr.Dataset, state: str, place: str, source: xr.Dataset | None = None) -> xr.Dataset:
+    dataset = xr.decode_cf(raw)
+    dataset.attrs[CHECKED] = state
+    dataset.encoding.setdefault("source", place)
+    dataset.set_close((source or raw).close)
+    return dataset
+
+
+def _require(equal: bool, place: str, what: str) -> None:
+    if not equal:
+        raise DatasetError(f"{place} is damaged: {what} changed since it was written; {AGAIN}")
+
+
+class _CheckedMap(BackendArray):
+    """A map over (step, row, column) that reads whole steps and compares each with its checksum."""
+
+    def __init__(self, variable: xr.Variable, sums: str, name: str, place: str) -> None:
+        self._variable, self._sums, self._name, self._place = variable, sums, name, place
+        self.shape, self.dtype = variable.shape, variable.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+
+    def _read(self, key: tuple[int | slice, ...]) -> np.ndarray:
+        steps, *rest = key
+        if isinstance(steps, int | np.integer):
+            return np.asarray(self._step(int(steps))[tuple(rest)])
+        return _stacked([self._step(each)[tuple(rest)] for each in range(*steps.indices(self.shape[0]))], self, key)
+
+    def _step(self, index: int) -> np.ndarray:
+        index %= self.shape[0]
+        where = f"map '{self._name}' of step {index} (counted from 0)"
+        try:
+            values: np.ndarray = self._variable[index].values
+        except Exception as error:  # HDF5 and each codec of Zarr have their own errors for a damaged or shortened chunk
+            raise DatasetError(
+                f"{self._place} is damaged: {where} cannot be read: {cause_of(error)}; {AGAIN}"
+            ) from error
+        begin = _DIGITS * index
+        _require(sum_of(values) == self._sums[begin : begin + _DIGITS], self._place, f"{where} is missing or has")
+        return values
+
+
+def _stacked(steps: list[np.ndarray], array: _CheckedMap, key: tuple[int | slice, ...]) -> np.ndarray:
+    if steps:
+        return np.stack(steps)
+    return np.empty(array.shape, array.dtype)[:0][(slice(0), *key[1:])]
+
+
+def checksums_of(raw: xr.Dataset) -> str:
+    """Return the text of the attribute `CONTENT` of a dataset as it is in its file (``decode_cf=False``)."""
+    variables = {
+        str(name): {"about": _sum_of_description(variable), "values": _sum_of_values(variable)}
+        for name, variable in raw.variables.items()
+    }
+    return text_of(raw.attrs, variables)
+
+
+def text_of(attributes: Mapping[Any, Any], variables: Mapping[str, Mapping[str, str]]) -> str:
+    """Return the text of the attribute `CONTENT` from the attributes and the checksums of the variables."""
+    return json.dumps({"attributes": _sum_of_attributes(attributes), "variables": variables})
+
+
+def _sum_of_values(variable: xr.Variable) -> str:
+    if variable.dims == MAP_DIMENSIONS:
+        return "".join(sum_of(variable[index].values) for index in range(variable.shape[0]))
+    return sum_of(variable.values)
+
+
+def _sum_of_description(variable: xr.Variable) -> str:
+    return sum_of_description(
+        tuple(map(str, variable.dims)), TEXT if variable.dtype.kind in "OSTU" else variable.dtype.str, variable.attrs
+    )
+
+
+def sum_of_description(dimensions: tuple[str, ...], dtype: str, attributes: Mapping[Any, Any]) -> str:
+    """Return the checksum of what a variable is without its values."""
+    about = json.dumps([*dimensions, dtype, _sum_of_attributes(attributes)])
+    return _crc(about.encode())
+
+
+def _sum_of_attributes(attributes: Mapping[Any, Any]) -> str:
+    content = {str(name): _plain(value) for name, value in attributes.items() if name not in (_FILL, CONTENT)}
+    return _crc(json.dumps(content, sort_keys=True).encode())
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as every format returns it: HDF5 has arrays with NumPy's types, and no lists of one element."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bytes):
+        value = value.decode(errors="replace")
+    if isinstance(value, list | tuple):
+        value = [_plain(each) for each in value]
+        return value[0] if len(value) == 1 else value
+    return value
+
+
+def sum_of(values: Any) -> str:
+    """Return the checksum of numbers or texts of any shape."""
+    array = np.asarray(values)
+    if array.dtype.kind in "OSTU":
+        return _crc(json.dumps(array.astype(object).tolist(), default=str).encode())
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    return _crc(plain.reshape(-1).view(np.uint8))
+
+
+def _crc(data: bytes | np.ndarray) -> str:
+    return f"{zlib.crc32(data):0{_DIGITS}x}"
