@@ -54,7 +54,9 @@ class ChecksummedStore:
     def put(self, name: str, index: int | slice, value: Any) -> None:
         """Write one step of a variable, or a whole coordinate."""
         variable = self._variables[name]
-        if variable.dtype != TEXT and isinstance(value, np.ndarray):
+        if isinstance(value, np.ndarray) and not value.ndim:
+            value = value.item()  # one value of another dataset
+        elif isinstance(value, np.ndarray) and variable.dtype != TEXT:
             value = np.ascontiguousarray(value, variable.dtype)  # a library may convert NaN to another bit pattern
         if isinstance(index, slice):
             self._whole[name] = sum_of(np.asarray(value))

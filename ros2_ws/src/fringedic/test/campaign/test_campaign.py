@@ -37,12 +37,18 @@ from fringedic.campaign.group_store import GroupStore
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
-from fringedic.campaign.sentences import CampaignProgress, plan_sentences, status_sentences
+from fringedic.campaign.run import damaged
+from fringedic.campaign.sentences import (
+    CampaignProgress,
+    plan_sentences,
+    status_sentences,
+    verification_sentences,
+)
 from fringedic.campaign.settings import RecordingEntry
 from fringedic.datasets.processing import process_into
 from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
-from fringedic.errors import CampaignError, ConfigurationError
+from fringedic.errors import CampaignError, ConfigurationError, DatasetError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.steps.recorded_parameters import RecordedParameters
 
@@ -211,6 +217,25 @@ def test_a_receipt_that_a_killed_process_left_unfinished_counts_as_none(done: Ca
     receipt = Path(done.store, "receipts", "plate-2.json")
     receipt.write_text(receipt.read_text()[:-10])
     assert set(run(done)) == {"plate-2"}
+
+
+def test_damage_of_a_store_is_named(done: Campaign, tmp_path: Path) -> None:
+    store = CampaignStore(str(shutil.copytree(done.store, tmp_path / "store")))
+    status = status_of(store, read_plan(store))
+    assert damaged(store, status) == []
+    chunk = tmp_path / "store" / "recordings" / "plate-2" / "w" / "c" / "2" / "0" / "0"
+    chunk.unlink()
+    assert damaged(store, status) == ["plate-2"]
+    assert "plate-2" in verification_sentences(status, ["plate-2"])[0]
+    tree, _ = fringedic.open_campaign(store.address)
+    with pytest.raises(DatasetError, match=r"plate-2 is damaged: map 'w' of step 2 .* is missing"):
+        tree["plate-2"].to_dataset()["w"].load()
+    receipt = tmp_path / "store" / "receipts" / "plate-1.json"
+    text = receipt.read_text()
+    for changed in (text.replace('"steps": 3', '"steps": 8'), text.replace('"steps": 3', '"steps": x')):
+        receipt.write_text(changed)
+        with pytest.raises(CampaignError, match=r"receipts/plate-1\.json is damaged"):
+            fringedic.open_campaign(store.address)
 
 
 def test_bad_recordings_are_named_and_the_others_finish(tmp_path: Path) -> None:
