@@ -34,7 +34,7 @@ def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
     >>> unsealed(file | {"k1": -0.3, "edited": True}, "lens.yaml")
     ({'k1': -0.3}, True)
     """
-    return {**content, HASH: _hash(content)}
+    return {HASH: _hash(content), **content}  # first: the beginning of a shortened file is not taken for an older one
 
 
 def unsealed(content: Any, place: str) -> tuple[Any, bool]:
