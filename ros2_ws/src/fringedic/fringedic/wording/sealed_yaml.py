@@ -11,7 +11,7 @@ from typing import Any
 
 from fringedic.wording.yaml_text import InvalidYamlError
 
-HASH, EDITED = "sha256", "edited"
+HASH, EDITED = "checksum", "edited"
 """Keys of the hash, and of the word of a person who has changed the file."""
 EDITED_WORDS = "edited by hand"
 
@@ -30,7 +30,7 @@ def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
     ({'k1': -0.0005}, False)
     >>> unsealed(file | {"k1": -0.3}, "lens.yaml")
     Traceback (most recent call last):
-    fringedic.wording.sealed_yaml.ChangedFileError: its content has changed since it was written (sha256 differs): ...
+    fringedic.wording.sealed_yaml.ChangedFileError: its content has changed since it was written (checksum differs): ...
     >>> unsealed(file | {"k1": -0.3, "edited": True}, "lens.yaml")
     ({'k1': -0.3}, True)
     """

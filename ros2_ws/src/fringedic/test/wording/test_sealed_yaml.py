@@ -56,7 +56,7 @@ def test_order_comments_and_layout_do_not_matter(tmp_path):
 def test_a_file_without_hash_is_read_and_told(tmp_path, caplog):
     file = tmp_path / "calibration.yaml"
     RIG.to_yaml(file)
-    file.write_text(re.sub("sha256: .*\n", "", file.read_text()))
+    file.write_text(re.sub("checksum: .*\n", "", file.read_text()))
     assert RigModel.from_yaml(file) == RIG
     assert f"{file}: contains no hash of its numbers" in caplog.text
 
@@ -69,7 +69,7 @@ def test_lens_and_response_curve_have_a_hash(tmp_path):
         load(file)
         head, numbers = file.read_text().split(".", 1)
         file.write_text(f"{head}.{(int(numbers[0]) + 1) % 10}{numbers[1:]}")
-        with pytest.raises(error, match="sha256 differs"):
+        with pytest.raises(error, match="checksum differs"):
             load(file)
 
 
