@@ -142,6 +142,10 @@ class RigSetupError(FringedicError, ValueError):
     """A measurement before the test gives no result."""
 
 
+class EvidenceError(FringedicError, RuntimeError):
+    """The log of a run or the key of the laboratory cannot be used, or a time stamp confirms something else."""
+
+
 class ExportError(FringedicError, ValueError):
     """A format cannot hold what is to be exported, or something is in its place already."""
 

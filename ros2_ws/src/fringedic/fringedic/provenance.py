@@ -1,17 +1,21 @@
-"""Version and commit of the software that writes a file."""
+"""Version and commit of the software that writes a file, and everything else that decides the bits of a result."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
+import platform
 import subprocess
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from fringedic import __version__
 
 UNKNOWN = "unknown"
 _TIMEOUT = 10  # [s]
+_COMPUTING = ("numpy", "scipy", "numba", "llvmlite", "opencv-python-headless", "scikit-image", "zarr", "numcodecs")
 
 
 def software() -> str:
@@ -54,3 +58,31 @@ def _installed_commit() -> str:
         return str(json.loads(noted or "")["vcs_info"]["commit_id"])
     except (importlib.metadata.PackageNotFoundError, ValueError, KeyError):
         return UNKNOWN
+
+
+@cache
+def software_identity() -> dict[str, str]:
+    """Return version and commit of this library, and the versions of Python and of the packages that compute."""
+    installed = {each.metadata["Name"] for each in importlib.metadata.distributions()}
+    versions = {name: importlib.metadata.version(name) for name in _COMPUTING if name in installed}
+    return {"fringedic": software(), "commit": git_commit(), "python": platform.python_version(), **versions}
+
+
+def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return what differs between two identities, for a message.
+
+    Examples
+    --------
+    >>> differences({"numpy": "2.1.0", "numba": "0.61"}, {"numpy": "2.2.0", "numba": "0.61"})
+    'numpy 2.1.0 instead of 2.2.0'
+    """
+    names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    return ", ".join(f"{name} {one.get(name, '-')} instead of {other.get(name, '-')}" for name in names)
+
+
+@cache
+def processor() -> str:
+    """Return the kind of processor that Numba compiles for: another one can change the last bits of a result."""
+    from llvmlite.binding import get_host_cpu_name
+
+    return str(get_host_cpu_name())

@@ -12,6 +12,7 @@ import yaml
 from pydantic import ValidationError
 
 from fringedic.errors import CalibrationError
+from fringedic.evidence.changes import noted
 from fringedic.metadata import CheckMetadata
 from fringedic.wording.sealed_yaml import sealed, unsealed
 from fringedic.wording.yaml_text import load_yaml
@@ -56,10 +57,10 @@ def record_check(folder: str | Path, check: RigCheck, when: datetime, *, verdict
     entries = [each.model_dump(exclude_defaults=True) for each in [*recorded_checks(folder), metadata]]
     file = Path(folder) / CHECKS_FILE
     written = file.with_suffix(".part")
-    written.write_text(
-        yaml.safe_dump(sealed({"checks": entries}), sort_keys=False, allow_unicode=True, width=120), encoding="utf-8"
-    )
-    os.replace(written, file)
+    text = yaml.safe_dump(sealed({"checks": entries}), sort_keys=False, allow_unicode=True, width=120)
+    with noted(file, "check of the calibration"):
+        written.write_text(text, encoding="utf-8")
+        os.replace(written, file)
     return metadata
 
 

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from fringedic.campaign.settings import Campaign, Elasticity
-from fringedic.campaign.software import software_identity
 from fringedic.errors import FringedicError
+from fringedic.provenance import software_identity
 from fringedic.wording.causes import cause_of
 
 if TYPE_CHECKING:

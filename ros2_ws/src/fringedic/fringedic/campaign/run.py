@@ -9,9 +9,9 @@ from typing import Any
 from fringedic.campaign.plan import Plan, Unit, make_plan
 from fringedic.campaign.receipts import Failure, Receipt, other_results
 from fringedic.campaign.settings import Campaign
-from fringedic.campaign.software import software_identity
 from fringedic.campaign.store import BEGUN, FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.errors import CampaignError
+from fringedic.provenance import software_identity
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
 from fringedic.campaign.receipts import Failure, Receipt, read_receipt, receipt_name
 from fringedic.campaign.recordings import fingerprint, summarise
-from fringedic.campaign.software import differences, processor, software_identity, worker_name
+from fringedic.campaign.software import worker_name
 from fringedic.campaign.store import BEGUN, FAILURES, RECORDINGS, CampaignStore
 from fringedic.datasets.processing import PROCESSED_TOPICS, follow_into, process_into
 from fringedic.errors import CampaignError, FringedicError
 from fringedic.evaluation.elasticity import constants_of, strain_curve
+from fringedic.provenance import differences, processor, software_identity
 from fringedic.recording.growing import PATIENCE_S, FollowError, GrowingRecording
 from fringedic.recording.remote import local_copy
 from fringedic.wording.causes import cause_of

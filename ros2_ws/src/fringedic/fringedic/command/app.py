@@ -196,6 +196,7 @@ Sensor = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 Output = Annotated[Path | None, typer.Option(help="Output folder.")]
+Why = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the log of the run that the file is written into.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="Replaces a recorded parameter; may be repeated."),

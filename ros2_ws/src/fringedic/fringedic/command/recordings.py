@@ -25,6 +25,7 @@ from fringedic.command.app import (
     Settings,
     Source,
     Steps,
+    Why,
     app,
     calibration_file,
     console,
@@ -60,11 +61,13 @@ def process(  # noqa: PLR0913 (options of a command)
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
     ] = None,
     overwrite: Overwrite = False,
+    why: Why = "",
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.datasets import open_experiment, process_bag
     from fringedic.datasets.processing import PROCESSED_TOPICS
     from fringedic.datasets.sentences import confirmation_sentence, missing_settings_sentence, references_sentence
+    from fringedic.evidence.changes import because
     from fringedic.recording.frames import records
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
@@ -114,7 +117,8 @@ def process(  # noqa: PLR0913 (options of a command)
 
     if output is not None and len(bags) > 1:
         output.mkdir(parents=True, exist_ok=True)
-    for_each(bags, work)
+    with because(why):
+        for_each(bags, work)
 
 
 def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
@@ -201,10 +205,14 @@ def verify(bag: Bag) -> None:
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
 def recover(bag: Bag, output: Output = None) -> None:
     """Write a complete recording from the readable part of a damaged one, and list what could not be read."""
+    from fringedic.evidence.changes import noted
+    from fringedic.recording.bag_files import beside
     from fringedic.recording.repair import recover as recover_bag
     from fringedic.recording.sentences import content_sentences, next_command
 
-    recovered = recover_bag(bag, output)
+    target = beside(bag, "_recovered") if output is None else output
+    with noted(target, "recovery of the readable part"):
+        recovered = recover_bag(bag, target)
     whole = replace(recovered, missing={}, damage="")
     say(f"recording: {recovered.path}", *content_sentences(recovered), next_command(whole))
 
@@ -243,7 +251,7 @@ def export(
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
-def report(
+def report(  # noqa: PLR0913 (options of a command)
     source: Source,
     output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,
     static: Annotated[
@@ -267,23 +275,26 @@ def report(
     sensor: Sensor = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it as PDF, too; needs chromium.")] = False,
     overwrite: Overwrite = False,
+    why: Why = "",
 ) -> None:
     """Write the report of an experiment as one HTML file that needs no network.
 
     Example: fringedic report my_test/bag --extensometer 200,480,1000,480
     """
+    from fringedic.evidence.changes import because
     from fringedic.report import write_report
     from fringedic.report.printing import print_page
 
-    written = write_report(
-        source,
-        output,
-        sensor=sensor,
-        static_steps=static or None,
-        gauges=named_gauges(extensometer) or None,
-        regions=named_regions(region),
-        overwrite=overwrite,
-    )
-    say(f"report: {written}")
-    if pdf:
-        say(f"PDF: {print_page(written, output_file(written.with_suffix('.pdf'), overwrite))}")
+    with because(why):
+        written = write_report(
+            source,
+            output,
+            sensor=sensor,
+            static_steps=static or None,
+            gauges=named_gauges(extensometer) or None,
+            regions=named_regions(region),
+            overwrite=overwrite,
+        )
+        say(f"report: {written}")
+        if pdf:
+            say(f"PDF: {print_page(written, output_file(written.with_suffix('.pdf'), overwrite))}")

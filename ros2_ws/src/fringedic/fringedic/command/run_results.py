@@ -10,10 +10,13 @@ import xarray as xr
 from fringedic.command.outcome import RunReport, StepReport
 from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
 from fringedic.datasets.opening import RESULTS
+from fringedic.datasets.processing import DATASETS, ProcessingSettings
 from fringedic.datasets.sentences import confirmation_sentence
-from fringedic.errors import DatasetError
+from fringedic.errors import DatasetError, EvidenceError
 from fringedic.evaluation import compare_with_truth, open_truth
 from fringedic.evaluation.truth import TRUTH
+from fringedic.evidence.changes import begin_log, noted
+from fringedic.evidence.log import has_log
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.sensor import file_of
 from fringedic.recording.frames import frame_losses
@@ -21,6 +24,10 @@ from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
 from fringedic.signals import FORCE
 
+RUN = "run"
+"""Action of the first entry of the log of a run that was signed at its end."""
+CALIBRATION_SOURCE = "calibration_file"
+"""Detail of that entry: file of the calibration that the rig file named."""
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
 
@@ -69,7 +76,52 @@ def write_results(
     write_report(target, folder / "report.html", overwrite=True)
     for report in steps:
         report.errors = errors.get(report.step, {})
-    return RunReport(experiment, folder, steps, pictures, target.name, no_errors=no_errors, verdict=verdict)
+    return RunReport(
+        experiment,
+        folder,
+        steps,
+        pictures,
+        target.name,
+        no_errors=no_errors,
+        verdict=verdict,
+        references=tuple(measure_again),
+    )
+
+
+def sign_results(report: RunReport, *, operator: str = "", calibration: Path | None = None) -> str:
+    """Begin the log of a run that has ended, and sign it; that of a continued run gets an entry.
+
+    Parameters
+    ----------
+    report
+        The run.
+    operator
+        Name of the operator.
+    calibration
+        File of the calibration that the rig file names.
+
+    Returns
+    -------
+    str
+        Why the run is not signed, as a sentence; empty when it is.
+    """
+    processed = ProcessingSettings(references=report.references, experiment=report.experiment)
+    details = {
+        "ended_early": report.ended_early,
+        "interrupted": report.interrupted,
+        "failed_steps": sum(bool(step.error) for step in report.steps),
+        DATASETS: {report.dataset: processed.as_details()} if report.dataset else {},
+        CALIBRATION_SOURCE: None if calibration is None else str(calibration.absolute()),
+    }
+    try:
+        if has_log(report.folder):
+            with noted(report.folder, RUN, details=details):  # within that of the command, which covers all files
+                pass
+        else:
+            begin_log(report.folder, RUN, operator=operator, details=details)
+    except EvidenceError as error:
+        return f"the run is not signed: {error}; then 'fringedic note {report.folder}' signs it"
+    return ""
 
 
 def _compare(

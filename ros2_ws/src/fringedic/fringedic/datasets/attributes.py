@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from pydantic import ValidationError
 
+from fringedic.camera.distortion import DistortionMap
 from fringedic.datasets.quantities import (
     LATER_REFERENCES,
     MAP_DIMENSIONS,
@@ -22,6 +23,7 @@ from fringedic.errors import DatasetError
 from fringedic.frames.sensor import SENSOR
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
+from fringedic.rig.model import RigModel
 from fringedic.wording.path_names import path_name
 
 JSON_ATTRIBUTES = {
@@ -42,6 +44,18 @@ def origin_of(dataset: xr.Dataset) -> dict[str, Any]:
     for name, value in dataset.attrs.items():
         found[str(name)] = json.loads(value) if name in JSON_ATTRIBUTES else plain(value)
     return found | {"exported_by": software(), "exported_by_commit": git_commit()}
+
+
+def recorded_calibration(dataset: xr.Dataset) -> RigModel | None:
+    """Return the calibration that a dataset was measured with; None if it has none."""
+    recorded = json.loads(dataset.attrs.get("calibration", "{}"))
+    if not recorded:
+        return None
+    distortion = recorded.get("camera_distortion")
+    if distortion is not None:
+        arrays = {name: np.array(distortion[name]) for name in ("columns", "rows")}
+        recorded["camera_distortion"] = DistortionMap(**{**distortion, **arrays})
+    return RigModel(**recorded)
 
 
 def recorded_metadata(dataset: xr.Dataset) -> Metadata:

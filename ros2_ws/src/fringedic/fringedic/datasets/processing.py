@@ -18,6 +18,7 @@ from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
+from fringedic.evidence.changes import noted
 from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
@@ -45,6 +46,8 @@ PROCESSED_TOPICS = (
 )
 """Topics that processing reads; a recording needs the first two."""
 _LEAD_IN = 2  # steps before a segment
+DATASETS = "datasets"
+"""Detail of an entry in the log of a run: settings by the name of the dataset that was made with them."""
 
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))
@@ -129,7 +132,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     with local_copy(path, PROCESSED_TOPICS) as nearby:
         if target is None:
             target = dataset_path(source, None, overwrite, BagReader(nearby, sensor=sensor).sensor)
-        process_into(target, nearby, settings, progress)
+        with noted(target, "process", details={DATASETS: {target.name: settings.as_details()}}):
+            process_into(target, nearby, settings, progress)
     return target
 
 
@@ -163,6 +167,17 @@ class ProcessingSettings:
     sensor: str | None = None
     steps: frozenset[int] | None = None
     segment: tuple[int, int] | None = None
+
+    def as_details(self) -> dict[str, Any]:
+        """Return the settings as the log of a run contains them; of a calibration its identifier."""
+        return {
+            "overrides": dict(self.overrides),
+            "reference": list(self.references),
+            "calibration": None if self.calibration is None else self.calibration.identifier,
+            "experiment": self.experiment,
+            "sensor": self.sensor,
+            "steps": None if self.steps is None else sorted(self.steps),
+        }
 
 
 class _Segment(NamedTuple):
@@ -379,7 +394,9 @@ def dataset_from_derived(
 
     lost = "the recording contains no result of this step; measure it with fringedic process"
     measured = with_lost_steps(in_order_of_steps(rows()), timeline.exposed, lost)
-    _write(target, timeline, measured, collected.settings, None)
+    settings = ProcessingSettings(experiment=experiment, sensor=sensor)
+    with noted(target, "dataset of the nodes' results", details={DATASETS: {target.name: settings.as_details()}}):
+        _write(target, timeline, measured, collected.settings, None)
     return target
 
 

@@ -17,7 +17,6 @@ Satterthwaite, F. E. (1946). An approximate distribution of estimates of varianc
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 
@@ -27,9 +26,8 @@ from scipy import fft
 from scipy.ndimage import correlate1d
 from scipy.stats import chi2
 
-from fringedic.camera.distortion import DistortionMap
 from fringedic.correlation.transfer import error_correlation
-from fringedic.datasets.attributes import parameters_of
+from fringedic.datasets.attributes import parameters_of, recorded_calibration
 from fringedic.evaluation.correlated import correlated_points
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
@@ -305,14 +303,8 @@ def spread_beyond_noise(
 
 def _calibration_of(step: xr.Dataset) -> RigModel | None:
     """Return the rig's model with its covariance; None if there is none, or if it is not uncertain."""
-    recorded = json.loads(step.attrs.get("calibration", "{}"))
-    if not recorded.get("parameter_names"):
-        return None
-    distortion = recorded.get("camera_distortion")
-    if distortion is not None:
-        arrays = {name: np.array(distortion[name]) for name in ("columns", "rows")}
-        recorded["camera_distortion"] = DistortionMap(**{**distortion, **arrays})
-    return RigModel(**recorded)
+    model = recorded_calibration(step)
+    return model if model is not None and model.parameter_names else None
 
 
 def _calibration_part(

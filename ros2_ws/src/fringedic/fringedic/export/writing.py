@@ -14,6 +14,7 @@ import xarray as xr
 from fringedic.datasets.attributes import file_stem, first_time
 from fringedic.datasets.quantities import TIME_ZERO
 from fringedic.errors import DatasetError, ExportError, FringedicError
+from fringedic.evidence.changes import noted
 from fringedic.export import r3xa, surfaces, tables
 from fringedic.figures.animation import save_animation
 from fringedic.figures.maps import save_pictures
@@ -148,7 +149,8 @@ def export_dataset(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExportError(f"{folder}: cannot be made: {cause_of(error)}") from error
-    return [_export(dataset, folder, name, overwrite) for name in formats]
+    with noted(folder, f"export as {', '.join(formats)}"):
+        return [_export(dataset, folder, name, overwrite) for name in formats]
 
 
 def _export(dataset: xr.Dataset, folder: Path, name: str, overwrite: bool) -> Exported:

@@ -79,7 +79,7 @@ def check_manifest(folder: Path) -> ManifestCheck:
     lines = path.read_text("utf-8", errors="replace").splitlines()
     stated = {match[2]: match[1] for match in map(_LINE.fullmatch, lines) if match}
     files = {name: folder / Path(name).name for name in stated}
-    found = {name: _checksum(file) for name, file in files.items() if file.is_file()}
+    found = {name: checksum(file) for name, file in files.items() if file.is_file()}
     return ManifestCheck(
         present=True,
         equal=tuple(name for name in found if found[name] == stated[name]),
@@ -95,16 +95,17 @@ def _recorded(folder: Path) -> list[Path]:
     return [file for file in folder.iterdir() if file.suffix == ".mcap" or file.name == METADATA]
 
 
-def _checksum(file: Path) -> str:
+def checksum(file: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits."""
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it is complete at any time, also after a power cut."""
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file so that it is complete at any time, also after a power cut; text as UTF-8."""
     temporary = path.with_name(f"{path.name}.writing")
-    with open(temporary, "w", encoding="utf-8") as file:
-        file.write(text)
+    with open(temporary, "wb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 from fringedic.errors import FringedicError
+from fringedic.evidence.changes import noted
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _LONGEST_S = 120
@@ -51,5 +52,6 @@ def print_page(page: Path, pdf: Path) -> Path:
         if not printed.exists():
             reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             raise FringedicError(f"{pdf}: {browser} did not print {page} ({reason}); print the page from a browser")
-        shutil.copyfile(printed, pdf)
+        with noted(pdf, "printed page"):
+            shutil.copyfile(printed, pdf)
     return pdf

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fringedic.errors import DatasetError
+from fringedic.evidence.changes import noted
 from fringedic.provenance import git_commit, software
 from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
@@ -62,7 +63,7 @@ def write_page(page: str, target: Path) -> Path:
         It cannot be written.
     """
     temporary = target.with_name(f".{target.name}.writing")
-    with write_errors_named(target):
+    with noted(target, "page"), write_errors_named(target):
         try:
             temporary.write_text(page, encoding="utf-8")
             temporary.replace(target)

@@ -16,6 +16,7 @@ _EXTRAS = {
     "models": "reading a model",
     "zarr": "a Zarr dataset",
     "campaign": "a campaign",
+    "timestamp": "a time stamp",
 }
 
 
@@ -27,7 +28,7 @@ def optional_import(extra: str) -> Iterator[None]:
     ----------
     extra
         The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``foxglove``,
-        ``paraview``, ``models``, ``zarr`` or ``campaign``.
+        ``paraview``, ``models``, ``zarr``, ``campaign`` or ``timestamp``.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from fringedic.calibration.sentences import check_sentence, check_warning_senten
 from fringedic.command.acceptance import accept
 from fringedic.command.advice import advise_on_images
 from fringedic.command.folders import unused_folder
-from fringedic.command.run_results import write_results
+from fringedic.command.run_results import sign_results, write_results
 from fringedic.configuration.changes import change_rig_file, with_angles
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
@@ -267,7 +267,9 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
             problems.append(str(error))
     job.stage("writing dataset, pictures and report")
     try:
-        unmeasured = write_results("by_hand", folder, []).unmeasured
+        report = write_results("by_hand", folder, [])
+        unmeasured = report.unmeasured
+        problems += filter(None, [sign_results(report, calibration=place.rig.calibration_file)])
     except FringedicError as error:
         unmeasured = f"no dataset: {error}"
     words = [*problems, unmeasured or f"dataset and report in {folder.name}"]

@@ -16,7 +16,8 @@ from fringedic.calibration.sentences import placing_instruction
 from fringedic.calibration.traceability import Traceability
 from fringedic.command.outcome import CalibrationReport, Progress
 from fringedic.configuration.rig_file import RigFile
-from fringedic.errors import ConfigurationError
+from fringedic.errors import ConfigurationError, EvidenceError
+from fringedic.evidence.changes import begin_log
 from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
 from fringedic_bringup.client import PERSON_S, START_TIMEOUT_S, RigClient
 from fringedic_bringup.launch.graph import calibration_graph
@@ -94,6 +95,10 @@ def calibrate(
         client.wait_until_recorded()
     if go:  # the node that wrote it does not know the rig file
         write_calibration_report(RigCalibration.load(folder), folder / CALIBRATION_REPORT, traceability_of(rig))
+    try:
+        begin_log(folder, "calibration", operator=rig.specimen.operator, details={"go": go})
+    except EvidenceError as error:
+        progress.note(f"the calibration is not signed: {error}; then 'fringedic note {folder}' signs it")
     return CalibrationReport(folder, go, tuple(words))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fringedic.calibration.sentences import in_force_words
 from fringedic.command.outcome import CALIBRATION_FILE, Progress, RunReport
-from fringedic.command.run_results import Reconstruct, write_results
+from fringedic.command.run_results import Reconstruct, sign_results, write_results
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
@@ -15,6 +15,7 @@ from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.sentences import forecast_sentence
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import ConfigurationError, ImageError
+from fringedic.evidence.changes import noted
 from fringedic.frames.files import image_files
 from fringedic.frames.sensor import file_of
 from fringedic.settings.camera import FilesCamera, StoredImages
@@ -128,7 +129,7 @@ def run_experiment(
         )
     if not resume:
         _announce(forecast(rig, programme), programme, folder, progress)
-    with folder_of_one_command(folder):
+    with folder_of_one_command(folder), noted(folder, "run continued"):
         bag, calibration, before = folder / "bag", file_of(folder / CALIBRATION_FILE, rig.sensor), None
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
@@ -156,6 +157,8 @@ def run_experiment(
             programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
         )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
+        if problem := sign_results(report, operator=rig.specimen.operator, calibration=rig.calibration_file):
+            progress.note(problem)
         return report
 
 

@@ -1,0 +1,174 @@
+"""Results of a run computed again from its recording, and its calibration from its own."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.audit.comparison import Difference, compare_bits
+from fringedic.audit.parts import Part, Result
+from fringedic.calibration.recorded import calibrate_recording
+from fringedic.datasets.attributes import recorded_calibration, sensor_of
+from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.processing import DATASETS, process_bag
+from fringedic.datasets.quantities import CLOSURES
+from fringedic.datasets.stores import SUFFIXES
+from fringedic.errors import FringedicError
+from fringedic.evidence.log import Entry
+from fringedic.provenance import differences, processor, software_identity
+from fringedic.rig.model import RigModel
+from fringedic.wording.numbers import counted, number_text
+
+_SHOWN = 5  # differences in a sentence
+_RUNNING = "results"
+
+
+def datasets_of(run: Path, bag: Path) -> Iterator[Path]:
+    """Yield the datasets in the folder of a run that were made from its recording."""
+    for path in sorted(run.iterdir()):
+        if path.suffix in SUFFIXES and not path.name.startswith("."):
+            try:
+                with open_experiment(path) as dataset:
+                    is_result = dataset.attrs.get("source") == bag.name
+            except FringedicError:
+                is_result = path.name.startswith((_RUNNING, bag.name))
+            if is_result:
+                yield path
+
+
+def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callable[[str], None]) -> Part:
+    """Compute a dataset again with the settings that the log contains, and compare it bit by bit."""
+    name = f"results {path.name}"
+    noted = [entry for entry in entries if path.name in entry.details.get(DATASETS, {})]
+    settings: Mapping[str, Any] = noted[-1].details[DATASETS][path.name] if noted else {}
+    try:
+        with tempfile.TemporaryDirectory(prefix="fringedic-audit-") as folder, open_experiment(path) as stored:
+            again = process_bag(
+                bag,
+                output=Path(folder) / f"again{path.suffix}",
+                overrides=settings.get("overrides"),
+                steps=settings.get("steps"),
+                reference=settings.get("reference") or None,
+                calibration=recorded_calibration(stored) if settings.get("calibration") is not None else None,
+                experiment=settings.get("experiment") or stored.attrs.get("experiment"),
+                sensor=settings.get("sensor") or sensor_of(stored),
+                progress=lambda step, error: tell(f"{path.name}: step {step} {error or 'computed again'}"),
+            )
+            with open_experiment(again) as computed:
+                found = compare_bits(stored, computed, without=_not_of_the_nodes(stored))
+                size = sum(int(each.size) for each in computed.variables.values())
+    except FringedicError as error:
+        return Part(name, Result.FAILS, f"cannot be computed again: {error}", "use a copy of recording and dataset")
+    if not found:
+        return Part(name, Result.HOLDS, f"computed again from the raw data, equal bit by bit ({size:.3g} values)")
+    words = differences_words(found)
+    other = other_software(noted[-1].software) if noted else "with what software and settings is not in the log"
+    if other:
+        return Part(
+            name,
+            Result.OPEN,
+            f"computed again with other software ({other}): {words}",
+            "repeat the audit with the software of the log, or judge the differences",
+        )
+    return Part(name, Result.FAILS, f"computed again with the same software: {words}", "the results were changed")
+
+
+def _not_of_the_nodes(dataset: xr.Dataset) -> set[str]:
+    """Return the checks that the nodes do not publish, if a dataset is theirs: they are empty in it."""
+    return {
+        name for name in (*CLOSURES, "confirmed_fraction") if name in dataset and bool(np.isnan(dataset[name]).all())
+    }
+
+
+def other_software(noted: Mapping[str, str]) -> str:
+    """Return how the software here differs from that of an entry; empty if it does not."""
+    return differences({**software_identity(), "processor": processor()}, noted)
+
+
+def differences_words(found: Sequence[Difference]) -> str:
+    """Return the differences as a sentence."""
+    words = [
+        f"{each.name} in {each.values} of {counted(each.of, 'value')}"
+        + ("" if math.isnan(each.largest) else f", by {number_text(each.largest, 3)} {each.unit} at most")
+        for each in found[:_SHOWN]
+    ]
+    more = [f"{len(found) - _SHOWN} more"] if len(found) > _SHOWN else []
+    return f"differ: {'; '.join(words + more)}"
+
+
+def check_calibration_file(run: Path, entries: Sequence[Entry], name: str) -> tuple[Part, Path | None]:
+    """Compare the calibration of a run with the file that its rig file named; return the folder of that as well."""
+    part = "calibration"
+    files = sorted(path for path in run.glob(f"{Path(name).stem}*.yaml") if path.is_file())
+    if not files:
+        return Part(part, Result.NOTE, "the run has none; displacements are in pixels"), None
+    named = [entry.details["calibration_file"] for entry in entries if entry.details.get("calibration_file")]
+    if not named:
+        found = "the log names no file of a calibration: its numbers are in the rig file, or are those of a virtual rig"
+        return Part(part, Result.OPEN, found, "measure the calibration, and name its file in the rig file"), None
+    source = Path(named[-1])
+    if not source.is_file():
+        return Part(
+            part, Result.OPEN, f"{source} is not here", "repeat the audit on the computer with the calibration"
+        ), None
+    try:
+        same = [_text(RigModel.from_yaml(file)) == _text(RigModel.from_yaml(source)) for file in files]
+    except FringedicError as error:
+        return Part(part, Result.FAILS, str(error), "restore the calibration from a copy"), None
+    if not all(same):
+        return Part(
+            part,
+            Result.FAILS,
+            f"{source} is not the calibration of this run any more",
+            "look for the calibration with the identifier that the report of the run names",
+        ), None
+    return Part(part, Result.HOLDS, f"equal to {source}"), source.parent
+
+
+def check_calibration(folder: Path, name: str, entries: Sequence[Entry]) -> Part:
+    """Compute a calibration again from its recording, and compare the numbers with those of its file.
+
+    Parameters
+    ----------
+    folder, name
+        Folder of the calibration, and name of the file.
+    entries
+        Its log; empty if it has none.
+    """
+    part, bag = "calibration from its recording", folder / "bag"
+    if not bag.is_dir():
+        return Part(part, Result.OPEN, f"{folder} contains no recording", "keep the recording of the calibration")
+    try:
+        result = calibrate_recording(bag).result
+        assert result is not None, "it was computed"
+        again, stored = _text(result.model), _text(RigModel.from_yaml(folder / name))
+    except (FringedicError, OSError) as error:
+        return Part(part, Result.FAILS, f"cannot be computed again: {error}", "use a copy of the calibration")
+    if again == stored:
+        return Part(part, Result.HOLDS, f"{folder / name} computed again from {bag}, equal in every digit")
+    other = other_software(entries[0].software) if entries else "with what software is in no log"
+    if other:
+        return Part(
+            part,
+            Result.OPEN,
+            f"computed again with other software ({other}), {folder / name} has other numbers",
+            "compare both with 'fringedic calibrate --from', with the software of the calibration",
+        )
+    return Part(
+        part,
+        Result.FAILS,
+        f"computed again with the same software, {folder / name} has other numbers",
+        "use a copy of the calibration",
+    )
+
+
+def _text(model: RigModel) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        model.to_yaml(Path(folder) / "model.yaml")
+        return (Path(folder) / "model.yaml").read_text("utf-8")

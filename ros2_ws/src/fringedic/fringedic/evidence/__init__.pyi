@@ -1,0 +1,11 @@
+from .changes import add_note as add_note
+from .changes import because as because
+from .changes import begin_log as begin_log
+from .changes import noted as noted
+from .keys import fingerprint as fingerprint
+from .keys import laboratory_key as laboratory_key
+from .log import Entry as Entry
+from .log import SignedLog as SignedLog
+from .log import read_log as read_log
+from .time_stamps import add_time_stamp as add_time_stamp
+from .time_stamps import check_time_stamp as check_time_stamp
