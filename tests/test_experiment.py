@@ -15,8 +15,10 @@ from rewritten import copy_topics
 from running_system import CONFIG, WORKING, Progress, without_ros
 
 import fringedic
+from fringedic.audit import Result, audit_run
 from fringedic.command.outcome import RunReport
 from fringedic.datasets.signals import signal_series
+from fringedic.evidence import read_log
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.procedures import replay as replaying
@@ -192,6 +194,14 @@ def test_replay_is_bit_identical(
     for name in MAPS:
         assert len(recorded[name]) == STEPS, name
         assert recorded[name] == replayed[name], f"{name} differs"
+
+
+def test_the_run_is_signed_and_its_results_are_those_of_the_raw_data(experiment: RunReport) -> None:
+    log = read_log(experiment.folder)
+    assert log.entries[0].action == "run"
+    assert {"bag/manifest.sha256", "results.nc", "report.html", "calibration.yaml"} <= log.entries[0].files.keys()
+    parts = {part.name: part.result for part in audit_run(experiment.folder, keys=log.keys).parts}
+    assert {parts[name] for name in ("signature", "log", "raw data", "results results.nc")} == {Result.HOLDS}
 
 
 def test_recording_is_never_overwritten(experiment: RunReport, tiny: Path) -> None:

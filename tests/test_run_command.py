@@ -19,8 +19,10 @@ from running_system import RecordedExperiment, wait_until
 from typer.testing import CliRunner, Result
 
 import fringedic
+from fringedic.audit import audit_run
 from fringedic.command.main import app
 from fringedic.errors import ConfigurationError, ProcessError
+from fringedic.evidence import read_log
 from fringedic.frames.messages import image_array
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
@@ -237,6 +239,7 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
     with fringedic.open_experiment(running.bag.parent) as dataset:
         before = np.count_nonzero(dataset.error.values == "")
     assert 1 <= before < 3
+    assert [entry.details["interrupted"] for entry in read_log(running.bag.parent).entries] == [True]
     continued = start_run("--continue")
     continued.wait_until_printed("(last: 2): move")
     os.kill(node_pids(running.bag.parent)["recorder"], signal.SIGKILL)
@@ -253,6 +256,13 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
     reader = BagReader(running.bag)
     announced = [message for _, message, _ in reader.messages(reader.find("experiment/reference").values())]
     assert [(each.step > 0, each.previous_lost) for each in announced] == [(False, False), (True, True)]
+    log = read_log(running.bag.parent)
+    assert [(entry.action, entry.details["interrupted"]) for entry in log.entries] == [
+        ("run", True),
+        ("run continued", False),
+    ]
+    parts = {part.name: part.result for part in audit_run(running.bag.parent, keys=log.keys).parts}
+    assert {parts[name] for name in ("signature", "log", "files", "raw data", "results results.nc")} == {"holds"}
     again = fringedic_command("run", tmp_path / "rig.yaml", "--output", running.bag.parent, "--continue")
     assert "no step of the programme is left, 3 of 3 are measured" in str(again.exception)
 

@@ -117,6 +117,7 @@ def test_library_declares_what_it_imports() -> None:
         "PIL": "pillow",
         "pydantic_core": "pydantic",
         "pygame": "pygame-ce",
+        "rfc3161_client": "rfc3161-client",
         "skimage": "scikit-image",
         "yaml": "pyyaml",
     }

@@ -95,7 +95,7 @@ def check_log(log: SignedLog) -> Part:
         return Part("log", Result.FAILS, found, "compare with a copy; do not rely on what was changed")
     first = log.entries[0]
     since = f"since {first.time} by {first.login} on {first.computer}"
-    return Part("log", Result.HOLDS, f"{counted(len(log.entries), 'entry').replace('entrys', 'entries')} {since}")
+    return Part("log", Result.HOLDS, f"{len(log.entries)} entries {since}" if log.entries[1:] else f"1 entry {since}")
 
 
 def check_files(run: Path, log: SignedLog) -> Part:
