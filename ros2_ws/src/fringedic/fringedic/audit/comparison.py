@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,7 @@ class Difference:
     unit: str = ""
 
 
-def compare_bits(one: xr.Dataset, other: xr.Dataset, *, without: Collection[str] = ()) -> list[Difference]:
+def compare_bits(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
     """Compare all variables and attributes of two datasets, except those of the software, bit by bit.
 
     Maps are read step by step.
@@ -46,8 +46,6 @@ def compare_bits(one: xr.Dataset, other: xr.Dataset, *, without: Collection[str]
     ----------
     one, other
         From `fringedic.open_experiment`.
-    without
-        Names of variables that are not compared.
 
     Examples
     --------
@@ -57,7 +55,7 @@ def compare_bits(one: xr.Dataset, other: xr.Dataset, *, without: Collection[str]
     >>> compare_bits(one, one.assign(force=one.force.copy(data=np.array([0.0, 100.5]))))
     [Difference(name='force', values=1, of=2, largest=0.5, unit='N')]
     """
-    names = sorted({*map(str, one.variables), *map(str, other.variables)} - set(without))
+    names = sorted({*map(str, one.variables), *map(str, other.variables)})
     found = [difference for name in names if (difference := _variable(one, other, name)) is not None]
     attributes = sorted({*map(str, one.attrs), *map(str, other.attrs)} - set(SOFTWARE))
     missing = object()
