@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import FringedicError
 from fringedic.evidence.log import Entry
 from fringedic.provenance import differences, processor, software_identity
+from fringedic.recording.bag_files import BAG
 from fringedic.rig.model import RigModel
 from fringedic.wording.numbers import counted, number_text
 
@@ -35,12 +37,10 @@ def datasets_of(run: Path, bag: Path) -> Iterator[Path]:
     """Yield the datasets in the folder of a run that were made from its recording."""
     for path in sorted(run.iterdir()):
         if path.suffix in SUFFIXES and not path.name.startswith("."):
-            try:
-                with open_experiment(path) as dataset:
-                    is_result = dataset.attrs.get("source") == bag.name
-            except FringedicError:
-                is_result = path.name.startswith((RESULTS, bag.name))
-            if is_result:
+            source = None
+            with suppress(FringedicError), open_experiment(path) as dataset:
+                source = dataset.attrs.get("source")
+            if source == bag.name or path.name.startswith((RESULTS, bag.name)):
                 yield path
 
 
@@ -109,10 +109,10 @@ def differences_words(found: Sequence[Difference]) -> str:
     return f"differ: {'; '.join(words + more)}"
 
 
-def check_calibration_file(run: Path, entries: Sequence[Entry], name: str) -> tuple[Part, Path | None]:
-    """Compare the calibration of a run with the file that its rig file named; return the folder of that as well."""
+def check_calibration_file(run: Path, entries: Sequence[Entry]) -> tuple[Part, Path | None]:
+    """Compare the calibration of a run with the file that its rig file named; return that as well if it is equal."""
     part = "calibration"
-    files = sorted(path for path in run.glob(f"{Path(name).stem}*.yaml") if path.is_file())
+    files = sorted(path for path in run.glob("calibration*.yaml") if path.is_file())
     if not files:
         return Part(part, Result.NOTE, "the run has none; displacements are in pixels"), None
     named = [entry.details["calibration_file"] for entry in entries if entry.details.get("calibration_file")]
@@ -135,42 +135,42 @@ def check_calibration_file(run: Path, entries: Sequence[Entry], name: str) -> tu
             f"{source} is not the calibration of this run any more",
             "look for the calibration with the identifier that the report of the run names",
         ), None
-    return Part(part, Result.HOLDS, f"equal to {source}"), source.parent
+    return Part(part, Result.HOLDS, f"equal to {source}"), source
 
 
-def check_calibration(folder: Path, name: str, entries: Sequence[Entry]) -> Part:
-    """Compute a calibration again from its recording, and compare the numbers with those of its file.
+def check_calibration(file: Path, entries: Sequence[Entry]) -> Part:
+    """Compute a calibration again from the recording beside it, and compare the numbers.
 
     Parameters
     ----------
-    folder, name
-        Folder of the calibration, and name of the file.
+    file
+        The calibration.
     entries
-        Its log; empty if it has none.
+        Log of its folder; empty if it has none.
     """
-    part, bag = "calibration from its recording", folder / "bag"
+    part, bag = "calibration from its recording", file.with_name(BAG)
     if not bag.is_dir():
-        return Part(part, Result.OPEN, f"{folder} contains no recording", "keep the recording of the calibration")
+        return Part(part, Result.OPEN, f"{file.parent} contains no recording", "keep the recording of the calibration")
     try:
         result = calibrate_recording(bag).result
         assert result is not None, "it was computed"
-        again, stored = _text(result.model), _text(RigModel.from_yaml(folder / name))
+        again, stored = _text(result.model), _text(RigModel.from_yaml(file))
     except (FringedicError, OSError) as error:
         return Part(part, Result.FAILS, f"cannot be computed again: {error}", "use a copy of the calibration")
     if again == stored:
-        return Part(part, Result.HOLDS, f"{folder / name} computed again from {bag}, equal in every digit")
+        return Part(part, Result.HOLDS, f"{file} computed again from {bag}, equal in every digit")
     other = other_software(entries[0].software) if entries else "with what software is in no log"
     if other:
         return Part(
             part,
             Result.OPEN,
-            f"computed again with other software ({other}), {folder / name} has other numbers",
+            f"computed again with other software ({other}), {file} has other numbers",
             "compare both with 'fringedic calibrate --from', with the software of the calibration",
         )
     return Part(
         part,
         Result.FAILS,
-        f"computed again with the same software, {folder / name} has other numbers",
+        f"computed again with the same software, {file} has other numbers",
         "use a copy of the calibration",
     )
 

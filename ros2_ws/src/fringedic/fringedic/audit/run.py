@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -103,7 +103,7 @@ def audit_run(
     if entries:
         parts.append(check_end(entries))
     if entries and entries[0].action == CALIBRATION:
-        parts.append(_calibration(run, entries, recompute, progress))
+        parts.append(_calibration(run / MODEL_FILE, entries, recompute, progress))
     else:
         parts += _results(run, bag, entries, recompute, progress)
         parts += _calibration_of_run(run, entries, keys, recompute, progress)
@@ -112,12 +112,15 @@ def audit_run(
     return Audit(run, datetime.now(UTC), tuple(parts), entries)
 
 
-def _of_the_log(run: Path, log: SignedLog | None, keys: Collection[bytes]) -> list[Part]:
+def _of_the_log(
+    run: Path, log: SignedLog | None, keys: Collection[bytes], without: Result = Result.FAILS
+) -> list[Part]:
+    """Check a log; without one the only part has the result `without`."""
     if log is None:
         return [
             Part(
                 "signature",
-                Result.FAILS,
+                without,
                 f"there is no {LOG}: the run was killed before its end, an earlier version made it, or the log is gone",
                 f"fringedic run --continue goes on with an interrupted run; fringedic note {run} WHY signs it as it is",
             )
@@ -140,21 +143,20 @@ def _calibration_of_run(
     run: Path, entries: tuple[Entry, ...], keys: Collection[bytes], recompute: bool, progress: Callable[[str], None]
 ) -> list[Part]:
     """Check the calibration of a run, and the folder that it comes from, with its log and recording."""
-    part, folder = check_calibration_file(run, entries, MODEL_FILE)
-    if folder is None:
+    part, file = check_calibration_file(run, entries)
+    if file is None:
         return [part]
-    progress(f"calibration {folder}")
-    log = read_log(folder) if has_log(folder) else None
-    own = _of_the_log(folder, log, keys)
-    if (folder / BAG).is_dir():
-        own.append(check_recording(folder / BAG))
+    progress(f"calibration {file.parent}")
+    log = read_log(file.parent) if has_log(file.parent) else None
+    own = _of_the_log(file.parent, log, keys, without=Result.OPEN)
+    if file.with_name(BAG).is_dir():
+        own.append(check_recording(file.with_name(BAG)))
     own = [Part(f"calibration: {each.name}", each.result, each.found, each.action) for each in own]
-    entries = tuple(log.entries) if log is not None else ()
-    return [part, *own, _calibration(folder, entries, recompute, progress)]
+    return [part, *own, _calibration(file, () if log is None else log.entries, recompute, progress)]
 
 
-def _calibration(folder: Path, entries: tuple[Entry, ...], recompute: bool, progress: Callable[[str], None]) -> Part:
+def _calibration(file: Path, entries: Sequence[Entry], recompute: bool, progress: Callable[[str], None]) -> Part:
     if not recompute:
         return Part("calibration from its recording", Result.OPEN, "not computed again, as asked")
-    progress(f"{folder / MODEL_FILE}: computing again")
-    return check_calibration(folder, MODEL_FILE, entries)
+    progress(f"{file}: computing again")
+    return check_calibration(file, entries)
