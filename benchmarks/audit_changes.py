@@ -5,9 +5,9 @@ removed and exchanged lines of the log, also with correct digests in all lines a
 They are looked for by the parts that need no computing. A few more are signed with the key of the laboratory: values of
 the results, which only the computation from the raw data finds.
 
-    python benchmarks/audit_changes.py RUN [--changes 1000] [--signed 5] [--seed 1]
+    python benchmarks/audit_changes.py [RUN] [--changes 1000] [--signed 5] [--seed 1]
 
-RUN is the folder of a signed run with a dataset; it is copied.
+RUN is the folder of a signed run with a dataset, which is copied; by default a small recording is processed and signed.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from fringedic.evidence import begin_log, read_log
 from fringedic.evidence.keys import laboratory_key, pem_of, raw_public
 from fringedic.evidence.log import LOG, OF_THE_LOG, PUBLIC_KEY, SIGNATURE
 
+RECORDING = Path(__file__).parents[1] / "ros2_ws/src/fringedic/test/recordings/version_0_1/bag"
 Made = dict[Path, bytes | None]
 """New content of files, None for one that is removed."""
 
@@ -211,18 +212,30 @@ def sign_again(run: Path) -> None:
     begin_log(run, first.action, details=first.details)
 
 
+def sign_small_run(run: Path) -> None:
+    """Process a small recording, and sign recording and results as the end of a run does."""
+    shutil.copytree(RECORDING, run / "bag")
+    process_bag(run / "bag", output=run / "results.nc")
+    begin_log(run, "run", details={"interrupted": False, "datasets": {"results.nc": {}}})
+
+
 def main() -> int:
     """Print what was found and the times; return how many changes were not found."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("run", type=Path)
+    arguments.add_argument("run", type=Path, nargs="?")
     arguments.add_argument("--changes", type=int, default=1000)
     arguments.add_argument("--signed", type=int, default=5)
     arguments.add_argument("--seed", type=int, default=1)
     options = arguments.parse_args()
-    console, keys = Console(), [raw_public(laboratory_key())]
+    console = Console()
     with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / options.run.name
-        shutil.copytree(options.run, run)
+        run = Path(folder) / "run"
+        if options.run is None:
+            os.environ["XDG_CONFIG_HOME"] = folder  # a key of its own
+            sign_small_run(run)
+        else:
+            shutil.copytree(options.run, run)
+        keys = [raw_public(laboratory_key())]
         size = sum(file.stat().st_size for file in files_of(run))
         console.print(f"{len(files_of(run))} files, {size / 1e6:.0f} MB, {os.cpu_count()} processors")
         if is_found(run, keys):
