@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 import yaml
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from typer.core import TyperCommand, TyperGroup
 
 from fringedic.command.folders import output_folder
 from fringedic.command.plugins import INSTALL, load_commands
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
+from fringedic.wording.control_characters import visible
 from fringedic.wording.yaml_text import load_yaml
 
 if TYPE_CHECKING:
@@ -81,6 +83,15 @@ class _WithOtherPackages(Group):
         return found
 
 
+class VisibleConsole(Console):
+    """Shows control characters of texts that are printed, instead of sending them to the terminal."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the parts of what is printed; those that move the cursor of progress bars are no texts."""
+        for part in super().render(renderable, options):
+            yield part if part.control else part._replace(text=visible(part.text))
+
+
 class Commands(typer.Typer):
     """Collects subcommands."""
 
@@ -104,7 +115,7 @@ app = Commands(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # brackets of units are no markup there,
 )
-console = Console(width=None if sys.stdout.isatty() else 120)
+console = VisibleConsole(width=None if sys.stdout.isatty() else 120)
 
 
 def begin(path: Path) -> Path:

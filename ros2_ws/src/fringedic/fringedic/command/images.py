@@ -210,4 +210,4 @@ def advise(
         pixel_size=None if pixel_size_mm is None else 1e-3 * pixel_size_mm,
         strain_window=strain_window_points,
     )
-    typer.echo(settings_report(advice))
+    console.print(settings_report(advice), markup=False, highlight=False, soft_wrap=True)

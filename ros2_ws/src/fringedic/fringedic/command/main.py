@@ -15,6 +15,7 @@ from fringedic.command.plugins import load_commands, ros_as_sentence
 from fringedic.command.terminal import Terminal
 from fringedic.errors import FringedicError
 from fringedic.wording.causes import cause_of
+from fringedic.wording.control_characters import visible
 
 # importing them adds their subcommands
 __all__ = ["app", "calibration", "campaign", "evidence", "images", "main", "models", "recordings", "rig_setup", "view"]
@@ -83,7 +84,7 @@ def _interrupt_at_end_of_session() -> None:
 
 
 def _end(sentence: str, code: int) -> NoReturn:
-    typer.echo(sentence, err=True)
+    typer.echo(visible(sentence), err=True)
     sys.exit(code)
 
 

@@ -148,7 +148,7 @@ def noise(
         path = rig_path_of(rig)
         with LiveProgress(console) as progress:
             measured = measure_noise(load_rig_file(path), path, folder, progress, steps=steps)
-    typer.echo(noise_floor_text(measured.metadata))
+    console.print(noise_floor_text(measured.metadata), markup=False, highlight=False, soft_wrap=True)
     file = folder / "noise_floor.yaml"
     say(f"noise floor: {file}; to use it, write its path into the rig file as noise_floor_file")
 

@@ -20,10 +20,11 @@ from fringedic.datasets.quantities import (
     TIME_ZERO,
 )
 from fringedic.errors import DatasetError
-from fringedic.frames.sensor import SENSOR
+from fringedic.frames.sensor import SENSOR, sensor_name
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
 from fringedic.rig.model import RigModel
+from fringedic.wording.arguments import check_value
 from fringedic.wording.path_names import path_name
 
 JSON_ATTRIBUTES = {
@@ -133,8 +134,14 @@ def file_stem(dataset: xr.Dataset) -> str:
 
 
 def sensor_of(dataset: xr.Dataset) -> str:
-    """Return the name of the sensor whose frames were measured."""
-    return str(dataset.attrs.get("sensor", SENSOR))
+    """Return the name of the sensor whose frames were measured, which becomes a part of names of files.
+
+    Raises
+    ------
+    DatasetError
+        It is no name of a sensor.
+    """
+    return str(check_value(DatasetError, "sensor of the dataset", dataset.attrs.get("sensor", SENSOR), sensor_name))
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.errors import RecordingError
-from fringedic.recording.bag_metadata import load_yaml
 from fringedic.recording.mcap_file import (
     DAMAGE,
     FOREIGN,
@@ -20,7 +19,8 @@ from fringedic.recording.mcap_file import (
     opened,
     read_index,
 )
-from fringedic.recording.mcap_scan import has_chunk, scan_file
+from fringedic.recording.mcap_scan import ends_with_magic, has_chunk, scan_file
+from fringedic.wording.yaml_text import load_foreign_yaml
 
 BAG = "bag"  # of a run
 METADATA = "metadata.yaml"
@@ -163,7 +163,7 @@ def _read_metadata(folder: Path) -> _Metadata:
         return found
     data = (folder / METADATA).read_bytes()
     try:
-        content: dict[str, Any] = load_yaml(data.decode("utf-8"))["rosbag2_bagfile_information"]
+        content: dict[str, Any] = load_foreign_yaml(data.decode("utf-8"))["rosbag2_bagfile_information"]
         found.compression = str(content.get("compression_mode") or "")
         found.files = [Path(name).name for name in content["relative_file_paths"]]
         topics = content["topics_with_message_count"] or []
@@ -211,7 +211,7 @@ def open_file(path: Path, *, check: bool) -> McapFile:
         damage.append("its index is damaged and was rebuilt from the chunks")
     if file is None:
         with opened(path) as data:
-            if not begins and data[-len(MAGIC) :] != MAGIC and not has_chunk(path, data):
+            if not begins and not ends_with_magic(data) and not has_chunk(path, data):
                 return McapFile(path, damage=[FOREIGN], foreign=True)
             file = scan_file(path, data)
     elif check:

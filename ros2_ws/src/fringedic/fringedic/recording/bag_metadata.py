@@ -6,15 +6,10 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import yaml
-from yaml.events import CollectionEndEvent, CollectionStartEvent
-
 from fringedic import __version__
 from fringedic.recording.mcap_output import WrittenFile
 from fringedic.recording.topics import Topic
-
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
-_MAX_DEPTH = 50  # of nested lists and mappings; rosbag2 writes 8
+from fringedic.wording.yaml_text import load_foreign_yaml
 
 
 def bag_metadata(files: Sequence[WrittenFile], topics: Iterable[Topic], counts: Mapping[str, int]) -> dict[str, Any]:
@@ -70,23 +65,6 @@ def _file(file: WrittenFile) -> dict[str, Any]:
     }
 
 
-def load_yaml(text: str) -> Any:
-    """Return the content of YAML text that another program may have written.
-
-    Raises
-    ------
-    Exception
-        The text is not valid YAML, or nested too deeply. PyYAML raises errors of many classes for values that do not
-        fit their tag.
-    """
-    depth = 0
-    for event in yaml.parse(text, _LOADER):
-        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
-        if depth > _MAX_DEPTH:  # the C library of PyYAML would overflow the stack
-            raise ValueError("nested too deeply")
-    return yaml.load(text, _LOADER)
-
-
 def offered_profiles(qos: str) -> list[dict[str, Any]]:
     """Return the QoS profiles in the YAML text of a topic; an empty list if it is not a list of mappings.
 
@@ -98,7 +76,7 @@ def offered_profiles(qos: str) -> list[dict[str, Any]]:
     ([], [])
     """
     try:
-        profiles = load_yaml(qos)
+        profiles = load_foreign_yaml(qos)
     except Exception:
         return []
     if isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles):

@@ -16,22 +16,24 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import zstandard
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.typesys import Stores, get_typestore
+from yaml import YAMLError
 
 from fringedic.errors import RecordingError
 from fringedic.recording.bag_files import METADATA, STORED, convert_command
-from fringedic.recording.bag_metadata import load_yaml
 from fringedic.recording.definitions import interface_definition
-from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, topic_of
+from fringedic.recording.mcap_file import DAMAGE, LARGEST_CHUNK, MAGIC, RECORD_HEADER, records_of, topic_of
 from fringedic.recording.topics import RawMessage, Topic
 from fringedic.recording.writer import BagWriter
 from fringedic.wording.causes import cause_of
+from fringedic.wording.yaml_text import load_foreign_yaml, refuse_bombs
 
 _KEPT = 4  # copies that a process keeps
 
@@ -108,30 +110,48 @@ def _copy(messages: Iterator[tuple[Topic, RawMessage]], writer: BagWriter) -> No
 
 def _of_mcap(file: Path, by_message: bool) -> Iterator[tuple[Topic, RawMessage]]:
     """Yield the messages of an MCAP file that is compressed, has compressed messages, or no chunks."""
-    decompressor = zstandard.ZstdDecompressor()
     topics: dict[int, Topic] = {}
     schemas: dict[int, Schema] = {}
     with file.open("rb") as stored:
-        stream: Any = decompressor.stream_reader(stored) if file.suffix == ".zstd" else stored
-        for record in StreamReader(stream).records:
+        stream: Any = zstandard.ZstdDecompressor().stream_reader(stored) if file.suffix == ".zstd" else stored
+        for record in _records(stream):
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 topics[record.id] = topic_of(record, schemas.get(record.schema_id))
             elif isinstance(record, Message) and (topic := topics.get(record.channel_id)):
-                data = decompressor.decompressobj().decompress(record.data) if by_message else record.data
+                data = _decompressed(record.data) if by_message else record.data
                 yield topic, RawMessage(topic.name, data, record.log_time, record.publish_time, record.sequence)
+
+
+def _records(stream: Any) -> Iterator[McapRecord]:
+    """Yield the records of an MCAP file in their order, also those in chunks."""
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST_CHUNK).records:
+        yield from records_of(record) if isinstance(record, Chunk) else [record]
+
+
+def _decompressed(data: bytes) -> bytes:
+    parts, size = [], 0
+    for part in zstandard.ZstdDecompressor().read_to_iter(data):
+        parts.append(part)
+        size += len(part)
+        if size > LARGEST_CHUNK:
+            raise McapError(f"a message has more than {LARGEST_CHUNK >> 20} MB")
+    return b"".join(parts)
 
 
 def _of_sqlite(path: Path) -> Iterator[tuple[Topic, RawMessage]]:
     """Yield the messages of a recording in SQLite, which have neither a time of publishing nor a number."""
     folder = path if path.is_dir() else path.parent
+    metadata = folder / METADATA
     try:
+        if metadata.is_file():
+            refuse_bombs(metadata.read_text("utf-8", "replace"))
         with Reader(folder) as reader:
             topics = {each.id: _topic(each) for each in reader.connections}
             for connection, time, data in reader.messages():
                 yield topics[connection.id], RawMessage(connection.topic, bytes(data), time, time)
-    except (ReaderError, sqlite3.Error, OSError) as error:
+    except (ReaderError, sqlite3.Error, OSError, YAMLError) as error:
         raise RecordingError(f"{path}: cannot be read: {cause_of(error)}") from error
 
 
@@ -156,7 +176,7 @@ def _definition(connection: Connection) -> str:
 def _with_compressed_messages(metadata: Path) -> frozenset[str]:
     """Return the files of which ``metadata.yaml`` states that rosbag2 has compressed each message."""
     try:
-        content = load_yaml(metadata.read_text("utf-8"))["rosbag2_bagfile_information"]
+        content = load_foreign_yaml(metadata.read_text("utf-8"))["rosbag2_bagfile_information"]
         compressed = str(content.get("compression_mode") or "").upper() == "MESSAGE"
         return frozenset(Path(name).name for name in content["relative_file_paths"] if compressed)
     except Exception:  # every kind of damage has its own error; `find_files` reports it

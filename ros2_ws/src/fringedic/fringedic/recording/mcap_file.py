@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import mmap
+import os
 import struct
 import zlib
 from collections import Counter
@@ -13,6 +13,7 @@ from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -28,13 +29,16 @@ FOREIGN = "is not an MCAP file"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the rest
 # Raised by the parsing of damaged bytes: lengths beyond the file or the memory, wrong text, wrong checksums.
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)
+WRONG_CHECKSUM = "because of a wrong checksum"
+_UNREADABLE = "that the disk cannot read"
 _ZSTD = b"\x28\xb5\x2f\xfd"  # begin of compressed data
 _CHECKSUM = RECORD_HEADER.size + 24  # place of its four bytes in a chunk, after two times and the size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
 
-_READ_BYTES = 1 << 20
-
-Bytes = bytes | mmap.mmap
+LARGEST_CHUNK = (
+    1 << 29
+)  # [byte] uncompressed: recorders close a chunk after some megabytes, or after one larger message
+_MOST_RECORDS = 1 << 20  # of one chunk; each takes about 300 bytes of memory
 
 
 class ChunkPlace(NamedTuple):
@@ -118,9 +122,60 @@ def refuse_compressed_messages(path: Path, records: Iterable[McapRecord]) -> Non
         )
 
 
+class FileBytes:
+    """Bytes of a file that are read when they are asked for.
+
+    A file that is mapped into memory would end the process where it was shortened meanwhile, or where the disk cannot
+    read it.
+
+    Parameters
+    ----------
+    path
+        The file.
+    stream
+        The file, opened.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self._path, self._number = path, stream.fileno()
+        self._size = os.fstat(self._number).st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def read(self, begin: int, end: int) -> bytes:
+        """Return the bytes from one position to another, fewer at the end of the file.
+
+        Raises
+        ------
+        RecordingError
+            The disk cannot read them, or the file has become shorter since it was opened.
+        """
+        end = min(end, self._size)
+        parts: list[bytes] = []
+        position = begin
+        while position < end:
+            try:
+                part = os.pread(self._number, end - position, position)
+            except OSError as error:
+                raise RecordingError(
+                    f"{self._path}: cannot be read behind byte {position} ({cause_of(error)}); copy it with a program "
+                    "that skips what the disk cannot read, such as ddrescue, and recover the copy"
+                ) from error
+            if not part:
+                size = os.fstat(self._number).st_size
+                raise RecordingError(
+                    f"{self._path}: was shortened to {size} bytes while it was read; wait until the program that "
+                    "writes or copies it has ended, and start again"
+                )
+            parts.append(part)
+            position += len(part)
+        return b"".join(parts)
+
+
 @contextmanager
-def opened(path: Path) -> Iterator[Bytes]:
-    """Map a file into memory after it was read once: the process would not survive a page that the disk cannot read.
+def opened(path: Path) -> Iterator[FileBytes]:
+    """Open a file whose bytes are read when they are asked for.
 
     Raises
     ------
@@ -128,20 +183,7 @@ def opened(path: Path) -> Iterator[Bytes]:
         The file cannot be read.
     """
     with _stream(path) as stream:
-        position = 0
-        try:
-            while part := stream.read(_READ_BYTES):
-                position += len(part)
-        except OSError as error:
-            raise RecordingError(
-                f"{path}: cannot be read behind byte {position} ({cause_of(error)}); copy it with a program that skips "
-                "what the disk cannot read, such as ddrescue, and recover the copy"
-            ) from error
-        if not position:
-            yield b""
-            return
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            yield data
+        yield FileBytes(path, stream)
 
 
 @contextmanager
@@ -180,12 +222,13 @@ def read_index(path: Path) -> McapFile | None:
     index = index_bytes(path)
     if index is None:
         return None
+    start = path.stat().st_size - len(index)
     end = len(index) - len(MAGIC)
     checksum = _FOOTER.unpack(index[end - _FOOTER.size : end])[-1]
     if checksum and zlib.crc32(index[: end - 4]) != checksum:
         raise McapError("the index does not fit its checksum")
     file, statistics, indices = McapFile(path), None, []
-    for record in StreamReader(BytesIO(index), skip_magic=True).records:
+    for record in StreamReader(BytesIO(index), skip_magic=True, emit_chunks=True).records:
         if isinstance(record, Statistics):
             statistics = record
         elif isinstance(record, Schema):
@@ -197,6 +240,7 @@ def read_index(path: Path) -> McapFile | None:
     if statistics is None or (statistics.message_count and not indices) or not _counts_channels(statistics):
         return None
     file.chunks = [_place(each, file) for each in indices]
+    _refuse_overlaps(file.chunks, start)
     file.indexed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
     file.counts = Counter(file.indexed)
     definitions = {channel.schema_id for channel in file.channels.values() if channel.schema_id}
@@ -245,6 +289,20 @@ def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:
     )
 
 
+def _refuse_overlaps(chunks: Iterable[ChunkPlace], start: int) -> None:
+    """Refuse an index in which chunks share bytes, or reach into the index, which starts at `start`.
+
+    A small file could otherwise state a large recording.
+    """
+    end = 0
+    for chunk in sorted(chunks, key=lambda place: place.offset):
+        if chunk.offset < end:
+            raise McapError("chunks of the index overlap")
+        end = chunk.offset + chunk.length
+    if end > start:
+        raise McapError("chunks of the index lie outside of the file")
+
+
 def check_chunks(indexed: McapFile) -> McapFile:
     """Return a file with an index without its damaged chunks; its damage contains their number.
 
@@ -254,23 +312,20 @@ def check_chunks(indexed: McapFile) -> McapFile:
         The file cannot be opened, or see `refuse_compressed_messages`.
     """
     file = McapFile(indexed.path, indexed.channels, indexed.schemas, indexed=indexed.indexed)
-    broken, unreadable = 0, 0
+    reasons = Counter[str]()
     with _stream(indexed.path) as stream:
         for place in indexed.chunks:
             try:
                 stream.seek(place.offset)
                 data = stream.read(place.length)
             except OSError:
-                unreadable += 1
+                reasons[_UNREADABLE] += 1
                 continue
             try:
                 file.add_chunk(place.offset, place.length, _records_at(place, data))
-            except DAMAGE:
-                broken += 1
-    if broken:
-        file.damage.append(left_out(broken))
-    if unreadable:
-        file.damage.append(f"{unreadable} chunk{'s' if unreadable > 1 else ''} left out that the disk cannot read")
+            except DAMAGE as error:
+                reasons[reason_of(error)] += 1
+    file.damage += left_out(reasons)
     return file
 
 
@@ -290,9 +345,18 @@ def count_without_checksum(file: McapFile) -> int:
     return without
 
 
-def left_out(chunks: int) -> str:
-    """Return the description of damaged chunks."""
-    return f"{chunks} chunk{'s' if chunks > 1 else ''} left out because of a wrong checksum"
+class ChunkTooLargeError(McapError):
+    """A chunk would take more memory than any recorder needs; its text is the end of "1 chunk left out ..."."""
+
+
+def reason_of(error: Exception) -> str:
+    """Return why a chunk is left out, by one of the errors `DAMAGE`."""
+    return str(error) if isinstance(error, ChunkTooLargeError) else WRONG_CHECKSUM
+
+
+def left_out(reasons: Counter[str]) -> list[str]:
+    """Return a description of the chunks that are left out for each reason of `reason_of`."""
+    return [f"{number} chunk{'s' if number > 1 else ''} left out {reason}" for reason, number in reasons.items()]
 
 
 def chunk_records(data: bytes) -> list[McapRecord]:
@@ -308,12 +372,20 @@ def chunk_records(data: bytes) -> list[McapRecord]:
     DAMAGE
         The chunk is damaged.
     """
-    chunk = Chunk.read(ReadDataStream(BytesIO(data[RECORD_HEADER.size :])))
-    if chunk.compression == "zstd":
-        # the size in a damaged frame would be allocated before the checksum is compared
-        size = zstandard.get_frame_parameters(chunk.data).content_size
-        if size not in (chunk.uncompressed_size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise McapError(f"{size} bytes instead of {chunk.uncompressed_size}")
+    return records_of(Chunk.read(ReadDataStream(BytesIO(data[RECORD_HEADER.size :]))))
+
+
+def records_of(chunk: Chunk) -> list[McapRecord]:
+    """Return the records of a chunk, the content of which is uncompressed by this.
+
+    Raises
+    ------
+    DAMAGE
+        The chunk is damaged.
+    """
+    chunk.data, chunk.compression = _uncompressed(chunk), ""
+    if len(chunk.data) > _MOST_RECORDS * RECORD_HEADER.size:
+        _refuse_many_records(chunk.data)
     records = breakup_chunk(chunk, validate_crc=True)
     if not chunk.uncompressed_crc:  # written without a checksum, or the checksum is erased
         times = [record.log_time for record in records if isinstance(record, Message)]
@@ -321,6 +393,39 @@ def chunk_records(data: bytes) -> list[McapRecord]:
         if not records or (min(times, default=0), max(times, default=0)) != stated:
             raise McapError("no checksum, and its messages are not those of its header")
     return records
+
+
+def _uncompressed(chunk: Chunk) -> bytes:
+    """Return the data of a chunk; memory is taken for the size that it states, up to a limit.
+
+    Raises
+    ------
+    DAMAGE
+        The data are damaged, have another size than they state, or are too large.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        stated = zstandard.get_frame_parameters(chunk.data).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise McapError(f"{stated} bytes instead of {size}")
+    if max(size, len(chunk.data)) > LARGEST_CHUNK:
+        raise ChunkTooLargeError(f"because of a size above {LARGEST_CHUNK >> 20} MB")
+    if chunk.compression == "zstd":
+        return zstandard.decompress(chunk.data, size)
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size))
+    if chunk.compression:
+        raise McapError(f"compression {chunk.compression!r} is not known")
+    return chunk.data
+
+
+def _refuse_many_records(data: bytes) -> None:
+    position = count = 0
+    while position + RECORD_HEADER.size <= len(data):
+        position += RECORD_HEADER.size + RECORD_HEADER.unpack_from(data, position)[1]
+        count += 1
+        if count > _MOST_RECORDS:
+            raise ChunkTooLargeError(f"because of more than {_MOST_RECORDS} records")
 
 
 def _records_at(place: ChunkPlace, data: bytes) -> list[McapRecord]:

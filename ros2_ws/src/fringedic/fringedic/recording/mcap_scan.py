@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -13,11 +14,23 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from fringedic.errors import RecordingError
-from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, Bytes, McapFile, chunk_records, left_out
+from fringedic.recording.mcap_file import (
+    DAMAGE,
+    MAGIC,
+    RECORD_HEADER,
+    WRONG_CHECKSUM,
+    FileBytes,
+    McapFile,
+    chunk_records,
+    left_out,
+    reason_of,
+)
 
 # Opcode and length of the record; two times and the size; the checksum; name of the compression; length of the data.
 _CHUNK_HEADER = re.compile(rb"(?s)(.)(.{8}).{24}(.{4})(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4)(.{8})")
 _CHUNK_START = re.compile(rb"(?s)\x06(?=.{5}\0{3}.{28}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4).{5}\0{3})")
+_CHUNK_HEADER_BYTES = 64  # at least those of _CHUNK_HEADER, which has 61 with zstd
+_READ_BYTES = 1 << 16
 _READERS: dict[int, Callable[[ReadDataStream], records.McapRecord]] = {
     Opcode.HEADER: records.Header.read,
     Opcode.SCHEMA: records.Schema.read,
@@ -37,7 +50,7 @@ class _ChunkHeader(NamedTuple):
     has_checksum: bool
 
 
-def scan_file(path: Path, data: Bytes) -> McapFile:
+def scan_file(path: Path, data: FileBytes) -> McapFile:
     """Return a file by all its readable chunks; bytes that are no record are left out up to the next one.
 
     Parameters
@@ -55,8 +68,7 @@ def scan_file(path: Path, data: Bytes) -> McapFile:
     damage = scan.file.damage
     if scan.messages_outside and not scan.file.chunks:
         raise RecordingError(f"{path}: is written without chunks; give its folder or the file itself to be converted")
-    if scan.broken_chunks:
-        damage.append(left_out(scan.broken_chunks))
+    damage += left_out(scan.broken_chunks)
     if scan.damaged_bytes:
         damage.append(f"{scan.damaged_bytes} bytes outside of chunks are damaged")
     if scan.messages_outside:
@@ -69,7 +81,12 @@ def scan_file(path: Path, data: Bytes) -> McapFile:
     return scan.file
 
 
-def has_chunk(path: Path, data: Bytes) -> bool:
+def ends_with_magic(data: FileBytes) -> bool:
+    """Return whether a file ends as a finished one."""
+    return data.read(max(0, len(data) - len(MAGIC)), len(data)) == MAGIC
+
+
+def has_chunk(path: Path, data: FileBytes) -> bool:
     """Return whether there is a chunk anywhere in a file, by the lengths in its header."""
     return _Scan(path, data).next_chunk(0) is not None
 
@@ -77,9 +94,9 @@ def has_chunk(path: Path, data: Bytes) -> bool:
 class _Scan:
     """A scan of one file: its readable chunks, and how much was left out."""
 
-    def __init__(self, path: Path, data: Bytes) -> None:
+    def __init__(self, path: Path, data: FileBytes) -> None:
         self.file = McapFile(path)
-        self.broken_chunks = 0
+        self.broken_chunks = Counter[str]()
         self.damaged_bytes = 0
         self.messages_outside = 0
         self.undefined_messages = 0
@@ -88,10 +105,10 @@ class _Scan:
     def run(self) -> int | None:
         """Read all chunks; return the end of the last record of an unfinished file, None for a finished one."""
         position = min(len(MAGIC), len(self._data))
-        closed = len(self._data) >= 2 * len(MAGIC) and self._data[-len(MAGIC) :] == MAGIC
+        closed = len(self._data) >= 2 * len(MAGIC) and ends_with_magic(self._data)
         while position < len(self._data):
             end = self._other_record(position)
-            if end is not None and self._data[position] == Opcode.DATA_END:
+            if end is not None and self._opcode(position) == Opcode.DATA_END:
                 return None if closed else end
             end = end or self._chunk(position)
             if end is None:
@@ -110,7 +127,7 @@ class _Scan:
         begin = position + RECORD_HEADER.size
         if begin > len(self._data):
             return None
-        opcode, length = RECORD_HEADER.unpack(self._data[position:begin])
+        opcode, length = RECORD_HEADER.unpack(self._data.read(position, begin))
         end = begin + length
         if end > len(self._data):
             return None
@@ -119,7 +136,7 @@ class _Scan:
             return int(end)
         if opcode not in _READERS:
             return None
-        stream = ReadDataStream(BytesIO(self._data[begin:end]))
+        stream = ReadDataStream(BytesIO(self._data.read(begin, end)))
         try:
             record = _READERS[opcode](stream)
         except DAMAGE:
@@ -137,12 +154,13 @@ class _Scan:
         header = self._chunk_header(position)
         if header is None or not (header.fits or header.has_checksum):
             return None
+        data = self._data.read(position, header.end)
         try:
-            content = chunk_records(self._data[position : header.end])
-        except DAMAGE:
+            content = chunk_records(data)
+        except DAMAGE as error:
             if not header.fits:
                 return None
-            self.broken_chunks += 1
+            self.broken_chunks[reason_of(error)] += 1
             return header.end
         if not header.fits:
             self.damaged_bytes += RECORD_HEADER.size
@@ -150,24 +168,35 @@ class _Scan:
         return header.end
 
     def _chunk_header(self, position: int) -> _ChunkHeader | None:
-        header = _CHUNK_HEADER.match(self._data, position)
+        header = _CHUNK_HEADER.match(self._data.read(position, position + _CHUNK_HEADER_BYTES))
         if header is None:
             return None
-        end = header.end() + int.from_bytes(header[4], "little")
+        end = position + header.end() + int.from_bytes(header[4], "little")
         stated_end = position + RECORD_HEADER.size + int.from_bytes(header[2], "little")
         fits = header[1][0] == Opcode.CHUNK and stated_end == end
         return _ChunkHeader(end, fits, any(header[3])) if end <= len(self._data) else None
 
     def next_chunk(self, position: int) -> int | None:
         """Return the position of the next chunk whose lengths agree."""
-        for candidate in _CHUNK_START.finditer(self._data, position):
-            header = self._chunk_header(candidate.start())
+        for candidate in self._chunk_starts(position):
+            header = self._chunk_header(candidate)
             if header is not None and header.fits:
-                return candidate.start()
+                return candidate
         return None
 
+    def _chunk_starts(self, position: int) -> Iterator[int]:
+        """Yield the positions at which a chunk may begin; parts of the file overlap by the header of a chunk."""
+        while position < len(self._data):
+            part = self._data.read(position, position + _READ_BYTES + _CHUNK_HEADER_BYTES)
+            starts = (position + found.start() for found in _CHUNK_START.finditer(part))
+            yield from (start for start in starts if start < position + _READ_BYTES)
+            position += _READ_BYTES
+
+    def _opcode(self, position: int) -> int:
+        return self._data.read(position, position + 1)[0]
+
     def _leave_out(self, begin: int, end: int) -> None:
-        if end > begin and self._data[begin] == Opcode.CHUNK:
-            self.broken_chunks += 1
+        if end > begin and self._opcode(begin) == Opcode.CHUNK:
+            self.broken_chunks[WRONG_CHECKSUM] += 1
         else:
             self.damaged_bytes += end - begin

@@ -25,6 +25,8 @@ from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_check
 from fringedic.recording.order import ClockCheck
 from fringedic.recording.topics import EXPOSURE, RawMessage, Topic, is_named
 
+_LARGEST_OVERLAP = 1 << 30  # [byte] of messages in memory whose chunks overlap in time, besides one chunk
+_MESSAGE_BYTES = 300  # of memory beside the data of a message
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
 
 
@@ -192,7 +194,7 @@ class BagReader:
         Raises
         ------
         RecordingError
-            A chunk is damaged although the index is complete.
+            A chunk is damaged although the index is complete, or chunks that overlap in time do not fit into memory.
         """
         copies = CopyFilter()
         for message in self._in_order(set(self.topics if topics is None else topics), start):
@@ -209,14 +211,22 @@ class BagReader:
         ]
         places.sort(key=lambda place: (place[0].start_time, place[1], place[0].offset))
         waiting: list[tuple[int, int, int, int, RawMessage]] = []
+        waiting_bytes = 0
         for chunk, number, file in places:
             while waiting and waiting[0][0] < chunk.start_time:
-                yield heapq.heappop(waiting)[-1]
-            for order, message in enumerate(read_messages(file, chunk)):
-                topic = file.channels[message.channel_id].topic
-                if topic in wanted and message.log_time >= start:
-                    raw = RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
-                    heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, raw))
+                message = heapq.heappop(waiting)[-1]
+                waiting_bytes -= _MESSAGE_BYTES + len(message.data)
+                yield message
+            for order, message in enumerate(_raw(file, each) for each in read_messages(file, chunk)):
+                if message.topic in wanted and message.log_time >= start:
+                    heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, message))
+                    waiting_bytes += _MESSAGE_BYTES + len(message.data)
+            if waiting_bytes > _LARGEST_OVERLAP:
+                raise RecordingError(
+                    f"{self.path}: messages of the same time lie far apart in it, so that more than "
+                    f"{_LARGEST_OVERLAP >> 20} MB would be in memory; write it in the order of time, for example with "
+                    "`mcap sort`"
+                )
         while waiting:
             yield heapq.heappop(waiting)[-1]
 

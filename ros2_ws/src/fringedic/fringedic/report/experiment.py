@@ -157,8 +157,8 @@ def _require_whole(source: str | os.PathLike[str], dataset: xr.Dataset) -> None:
 def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
     if source.suffix not in SUFFIXES:
         return source
-    beside = source.with_name(str(dataset.attrs.get("source", "")) or "none")
-    return beside if beside.exists() and beside != source else None
+    name = dataset.attrs.get("source")  # compared with the names there: of another person, it may be any text
+    return next((each for each in source.parent.iterdir() if each.name == name and each != source), None)
 
 
 def _content(

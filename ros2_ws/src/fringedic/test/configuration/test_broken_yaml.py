@@ -20,6 +20,16 @@ from fringedic.rig.model import RigModel
 from fringedic.wording.yaml_text import load_yaml
 
 RIG = "camera: {source: virtual}\nvirtual_rig: {preset: plate, size: tiny}\n"
+
+
+def nested_aliases(first, other):
+    """Lists or merged mappings (<<) of ten aliases each, in 10 levels: 500 to 800 bytes for 10^10 values."""
+    lines = [f"k0: &a0 {first.format(0)}"]
+    for level in range(1, 11):
+        lines.append(f"k{level}: &a{level} {other.format(', '.join([f'*a{level - 1}'] * 10))}")
+    return "\n".join(lines)
+
+
 BROKEN = [
     (f"{RIG}camera: {{source: files}}", r"line 3: the key 'camera' is in line 1 already: remove one"),
     ("experiment: a\nramp:\n  to_mm: 1.0\n  steps: 3\n  to_mm: 10.0\n", r"line 5: the key 'to_mm' is in line 3"),
@@ -50,6 +60,9 @@ BROKEN = [
     (f'{RIG}namespace: "\\UFFFFFFFF"', r"line 3: an escape sequence is no character of Unicode"),
     (f'{RIG}namespace: "\\U00110000"', r"line 3: an escape sequence is no character of Unicode"),
     (f"{RIG}<<: 3", r"line 3, column 5|mapping"),
+    (f"{RIG}namespace: &a [*a]", r"line 3: &a contains itself"),
+    (nested_aliases("{}", "[{}]"), r"line 5: aliases such as \*a3 stand for more than 10000 values: write them out"),
+    (nested_aliases("{{k{}: 1}}", "{{<<: [{}]}}"), r"line 5: aliases such as \*a3 stand for more than 10000 values"),
 ]
 
 
@@ -87,6 +100,11 @@ def test_merged_keys_are_replaced_by_those_of_the_mapping(tmp_path):
     assert [step.position for step in load_programme(file).load_steps()] == [0.0, 0.5e-3, 0.5e-3, 1e-3]
     with pytest.raises(yaml.YAMLError, match="line 2: the key '<<' is in line 2 already"):
         load_yaml("a: &a {k: 1}\nb: {<<: *a, <<: *a}")
+
+
+def test_aliases_of_ordinary_files_are_read():
+    text = "steps: [&a {position_mm: 1, hold_s: 2}" + ", *a" * 1000 + "]"
+    assert load_yaml(text)["steps"] == [{"position_mm": 1, "hold_s": 2}] * 1001
 
 
 @pytest.mark.parametrize("entry", ["preset: [plate]", "preset: plate, size: {}", "preset: plate, alignment: [usual]"])

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from fringedic.datasets import open_experiment
+from fringedic.datasets.attributes import sensor_of
 from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
@@ -25,6 +26,7 @@ from fringedic.metadata import Metadata
 from fringedic.report import write_report
 from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
+from fringedic.report.experiment import _recording
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
 from fringedic.report.warnings import warnings
 from fringedic.signals import SignalValue, signals_of
@@ -317,3 +319,17 @@ def test_a_report_is_not_overwritten_unasked_and_unwritable_places_are_named(pat
     bare = write_report(path, tmp_path / "bare.html", static_steps=[]).read_text("utf-8")
     assert "the noise floor is not measured" in bare
     assert '<p class="missing">not measured</p>' in bare
+
+
+@pytest.mark.parametrize("source", ["../bag", "/", "..", "a\0b", "x" * 5000, 7])
+def test_recording_of_a_dataset_is_looked_for_by_its_name_alone(dataset, tmp_path, source):
+    (tmp_path / "sheet.nc").write_bytes(b"")
+    (tmp_path / "bag").mkdir()
+    assert _recording(tmp_path / "sheet.nc", dataset.assign_attrs(source=source)) is None
+    assert _recording(tmp_path / "sheet.nc", dataset.assign_attrs(source="bag")) == tmp_path / "bag"
+
+
+@pytest.mark.parametrize("sensor", ["../left", "", 7])
+def test_sensor_of_a_dataset_is_a_name(dataset, sensor):
+    with pytest.raises(DatasetError, match=r"sensor of the dataset is .* letters, digits and single underscores"):
+        sensor_of(dataset.assign_attrs(sensor=sensor))
