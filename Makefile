@@ -5,7 +5,7 @@
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
 # make test-matrix    every ROS 2 distribution with every Python of this computer, in fresh clones; 20 minutes each
 # make test-hardware  the tests that need system packages: real devices, a browser
-# make docs   the documentation site in docs/_build/html; warnings are errors
+# make docs   the documentation site in docs/_build/html, warnings are errors; the list of installed packages (CycloneDX)
 # make bench  measured figures with their targets
 # make setup  environment, ROS 2 and workspace, which the other targets need and call
 # make clean  removes everything that was built
@@ -45,7 +45,8 @@ test-hardware: setup
 
 docs: setup
 	@$(ENVIRONMENT) && python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html
-	@echo "docs: open docs/_build/html/index.html"
+	@$(ENVIRONMENT) && python setup/bill_of_materials.py docs/_build/sbom.cdx.json
+	@echo "docs: open docs/_build/html/index.html; installed packages with licences: docs/_build/sbom.cdx.json"
 
 bench: setup
 	@$(ENVIRONMENT) && python benchmarks/run.py
