@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes which packages set-up installs, with version, licence and checksums (CycloneDX 1.6, JSON).
 
-The lock file contains all of this but the licence, which the installed packages state. The format is a list; a library
+The lock files contain all of this but the licence, which the installed packages state. The format is a list; a library
 for it would bring more packages than it describes fields.
 
     python setup/bill_of_materials.py docs/_build/sbom.cdx.json
@@ -10,6 +10,7 @@ for it would bring more packages than it describes fields.
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 import uuid
@@ -19,14 +20,15 @@ from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
 
-LOCK = Path(__file__).parent / "requirements-ros.lock"
+FOLDER = Path(__file__).parent
+LOCKS = (FOLDER / "requirements.lock", FOLDER / f"requirements-{os.environ.get('ROS_DISTRO', 'jazzy')}.lock")
 _PINNED = re.compile(
     r"^([A-Za-z0-9][\w.-]*)==([^ ;\\\n]+)(?: ; ([^\\\n]+?))?((?: \\\n +--hash=sha256:[0-9a-f]{64})+)$", re.M
 )
 _LONGEST_NAME = 60  # characters of a licence's name; some packages state its whole text instead
 # Of packages whose metadata do not contain it, by their licence files
 STATED_ELSEWHERE = {"setuptools": "MIT", "ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
-# Of packages that are installed on other systems, or beside a stock ROS 2, only
+# Of packages that are installed on other systems, or with another distribution of ROS 2, only
 ELSEWHERE = {
     "appnope": "BSD-2-Clause",
     "colorama": "BSD-3-Clause",
@@ -77,24 +79,28 @@ def _of_ros(file: Path) -> list[str]:
     return [each.text or "" for each in ElementTree.parse(file).getroot().findall("license")]
 
 
-def locked(lock: Path = LOCK) -> Iterator[Package]:
-    """Yield the packages of a lock file; one that differs between versions of Python is there several times."""
-    for found in _PINNED.finditer(lock.read_text("utf-8")):
+def locked(*locks: Path) -> Iterator[Package]:
+    """Yield the packages of lock files; one that differs between versions of Python is there several times."""
+    for found in _PINNED.finditer(_text(locks)):
         name, version, marker, hashes = found.groups()
         yield Package(name, version, marker or "", tuple(re.findall("[0-9a-f]{64}", hashes)))
 
 
-def bill(lock: Path = LOCK) -> dict[str, object]:
-    """Return the bill of materials of a lock file; the same file gives the same bill."""
+def _text(locks: tuple[Path, ...]) -> str:
+    return "\n".join(lock.read_text("utf-8") for lock in locks)
+
+
+def bill() -> dict[str, object]:
+    """Return the bill of materials of the environment that set-up makes; the same lock files give the same bill."""
     return {
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",
-        "serialNumber": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_URL, lock.read_text('utf-8'))}",
+        "serialNumber": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_URL, _text(LOCKS))}",
         "version": 1,
         "metadata": {
             "component": {"type": "application", "name": "fringedic", "version": metadata.version("fringedic")}
         },
-        "components": [_component(package) for package in locked(lock)],
+        "components": [_component(package) for package in locked(*LOCKS)],
     }
 
 
