@@ -38,6 +38,11 @@ ELSEWHERE = {
     "pyobjc-framework-cocoa": "MIT",
     "pyreadline3": "BSD-3-Clause",
     "pytz": "MIT",
+    "ros-ament-cmake-ros-core": "Apache-2.0",
+    "ros-fastdds": "Apache-2.0",
+    "ros-rmw-security-common": "Apache-2.0",
+    "ros-rmw-test-fixture": "Apache-2.0",
+    "ros-rmw-test-fixture-implementation": "Apache-2.0",
     "tzdata": "Apache-2.0",
 }
 
