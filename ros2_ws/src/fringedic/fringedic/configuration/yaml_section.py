@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from fringedic.wording.yaml_text import load_yaml
 Model = TypeVar("Model", bound=BaseModel)
 # Names of the members of unions in paths of pydantic, which are not keys of the file
 _LONGEST_LIST = 400  # characters of a list of problems; the rest is counted
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _MEMBERS = ("a name", "a file", "a section", "a step", "a ramp", "a cycle")
 
 
@@ -94,6 +96,8 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping
         return f"{name}: unknown key; known are {_keys(_section_at(model, place[:-1]))}"
     if error["type"] == "missing":
         return f"{name}: is missing"
+    if isinstance(error["input"], str) and _DECIMAL_COMMA.fullmatch(error["input"].strip()):
+        return f"{name}: write {error['input'].strip().replace(',', '.')} with a decimal point"
     words = f"{name}: {error['msg'].removeprefix('Value error, ')}"
     is_value = error["type"] != UNKNOWN_KEY and not isinstance(error["input"], dict)
     return f"{words} (it is {reprlib.repr(error['input'])})" if is_value else words

@@ -10,6 +10,7 @@ from fringedic.command.outcome import CALIBRATION_FILE, Progress, RunReport
 from fringedic.command.run_results import Reconstruct, sign_results, write_results
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
+from fringedic.configuration.programme_check import check_programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.sentences import forecast_sentence
@@ -108,14 +109,14 @@ def run_experiment(
     Raises
     ------
     ConfigurationError
-        The programme moves a machine that the rig does not move; the folder contains a recording already, or another
+        The programme has moves that the rig cannot make; the folder contains a recording already, or another
         command uses it; or, with `resume`, it contains none, or programme, settings or camera do not continue it.
     RecordingError
         The disk has less space than the programme needs; nothing was started.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, or one of them ended repeatedly.
     """
-    _require_moves(rig, programme)
+    check_programme(rig, programme)
     if (folder / "bag").exists() != resume:
         raise ConfigurationError(
             f"{folder} contains no recording to continue; give the folder of the run as --output"
@@ -160,19 +161,6 @@ def run_experiment(
         if problem := sign_results(report, operator=rig.specimen.operator, calibration=rig.calibration_file):
             progress.note(problem)
         return report
-
-
-def _require_moves(rig: RigFile, programme: Programme) -> None:
-    """Refuse positions that nothing would move to: all steps would be measured at the same load."""
-    if rig.has_load_frame_node:
-        return
-    for number, step in enumerate(steps := programme.load_steps(), start=1):
-        if step.position_mm is not None:
-            raise ConfigurationError(
-                f"step {number} of {len(steps)} of {programme.experiment} moves the crosshead to {step.position_mm:g} "
-                "mm, but this rig moves no machine; remove the positions from the programme, or describe the machine "
-                "in a machine file (load_frame: {source: machine, file: ...})"
-            )
 
 
 def _announce(expected: Forecast, programme: Programme, folder: Path, progress: Progress) -> None:
