@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +33,8 @@ GRID_FRAMES = 8
 CAMERA_IMAGE = "camera/image_raw"
 PHASE_MAPS = {"phase/map": DERIVED, "phase/sigma": DERIVED}
 
+Answer = TypeVar("Answer")
+
 
 class CalibrationProcedures:
     """Places and measures planes; a `CalibrationSession` computes.
@@ -50,6 +54,24 @@ class CalibrationProcedures:
         self._publish_calibration = publish_calibration
         self._session = CalibrationSession()
 
+    async def _until_accepted(self, run: CalibrationRun, measure: Callable[[], Awaitable[Answer]]) -> Answer:
+        """Place and measure a plane again when the measurement is rejected, as often as the parameters allow.
+
+        Raises
+        ------
+        StepFailure
+            Of the last attempt; or at once, when it does not concern the measurement of the plane.
+        """
+        rejected = (run.result.STEP_FAILED, _rejection(run.result))
+        for left in reversed(range(self._steps.parameters.placing_attempts)):
+            try:
+                return await measure()
+            except StepFailure as failure:
+                if not left or failure.code not in rejected:
+                    raise
+                run.report(str(failure))
+        raise AssertionError("there is at least one attempt")
+
     # the printed grid
 
     async def measure_distortion(self, run: CalibrationRun) -> None:
@@ -67,7 +89,7 @@ class CalibrationProcedures:
         # one subscription for all: of two in succession the camera could take the first for the second, and lose images
         with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
             for run.feedback.plane, angle in enumerate(angles, start=1):
-                await self._measure_grid(run, angle, images)
+                await self._until_accepted(run, partial(self._measure_grid, run, angle, images))
         orientation = self._steps.parameters.step_patterns()[-1].orientation
         grid = await self._steps.compute(
             run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
@@ -124,7 +146,7 @@ class CalibrationProcedures:
         with self._steps.collect(PHASE_MAPS) as images:
             await self._steps.reach_readers(run, "phase")
             for run.feedback.plane, plane in enumerate(planes, start=1):
-                stamp = await self._measure_plane(run, plane, patterns, images)
+                stamp = await self._until_accepted(run, partial(self._measure_plane, run, plane, patterns, images))
         run.report("fitting the model of the rig")
         calibrated = await self._fit(run, datetime.fromtimestamp(1e-9 * stamp, UTC))
         if not calibrated.go:
@@ -163,3 +185,8 @@ class CalibrationProcedures:
         result.residual, result.held_out_residual = calibrated.residual, calibrated.held_out
         result.drift = session.drift
         return calibrated
+
+
+def _rejection(result: Any) -> int:
+    """Return the error code of an action for a measurement that shows no plane, or no grid."""
+    return int(getattr(result, "PLANE_REJECTED", 0) or result.GRID_REJECTED)

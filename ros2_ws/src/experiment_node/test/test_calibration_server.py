@@ -312,6 +312,24 @@ def test_a_plane_that_was_not_turned_is_named_at_once(rig: Rig, tmp_path: Path) 
     assert len(rig.planes) == 2
 
 
+def test_a_rejected_plane_is_placed_and_measured_again_with_an_operator(rig: Rig, tmp_path: Path) -> None:
+    """One bad position ended the calibration of twenty."""
+    rig.change(placing_attempts=1000)
+    rig.stuck = True
+    handle = rig.request(rig.rig, CalibrateRig.Goal(angles=list(ANGLES), held_out=[3], folder=str(tmp_path)))
+    rig.wait(lambda: any("not moved" in each.words for each in rig.feedback), "the rejection")
+    rig.stuck = False
+    result = rig.result(handle)[1]
+    rig.change(placing_attempts=1)
+    assert (result.error_code, result.error_message, result.go) == (0, "", True)
+    angles = [plane.angle for plane in rig.planes]
+    assert len(angles) > len(ANGLES) + 1
+    assert [angle for angle, before in zip(angles, [None, *angles], strict=False) if angle != before] == [
+        *ANGLES,
+        ANGLES[0],
+    ]
+
+
 def test_cancelled_half_way(rig: Rig, tmp_path: Path) -> None:
     handle = rig.request(rig.rig, CalibrateRig.Goal(angles=list(ANGLES), folder=str(tmp_path)))
     rig.wait(lambda: len(rig.planes) == 2, "the second plane")

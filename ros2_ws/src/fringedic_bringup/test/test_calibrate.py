@@ -77,6 +77,24 @@ def test_operator_places_the_plane_until_one_stops() -> None:
     assert asked[1] == "Turn the plain reference plane to +14.32 degree (right side towards the camera)"
 
 
+def test_a_place_that_is_requested_again_has_the_reason_in_its_question() -> None:
+    asked: list[str] = []
+
+    def ask(words: str) -> bool:
+        asked.append(words)
+        return True
+
+    place = placing_by(ask, lambda _: "plane 2 was not moved")
+    for angle in (0.0, 0.25, 0.25, 0.1):
+        assert place(Request.PLANE, angle, 0.0) == ""
+    assert [each.startswith("This place was not measured (plane 2 was not moved). Once more: ") for each in asked] == [
+        False,
+        False,
+        True,
+        False,
+    ]
+
+
 def test_other_angles() -> None:
     rig = with_angles(load_rig_file(configuration("tiny.yaml")), "0,-10,-5,5,10")
     assert (rig.reference_plane.angles_degree, rig.reference_plane.held_out) == ([0, -10, -5, 5, 10], [4])

@@ -141,7 +141,9 @@ def calibrating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
 
     def client_of(ask: Callable[[str], bool], **options: Any) -> AbstractContextManager[RigClient]:
         path, job = configuration("tiny.yaml"), Job("calibrate", "", lambda: None)
-        return calibrate.calibration_client(load_rig_file(path), tmp_path, job, ask=ask, domain=None, **options)
+        return calibrate.calibration_client(
+            load_rig_file(path), tmp_path, job, place=calibrate.placing_by(ask), domain=None, **options
+        )
 
     return client_of
 

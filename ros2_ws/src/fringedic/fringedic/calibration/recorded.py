@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -79,7 +79,7 @@ def calibrate_recording(
         The coarsest fringes repeat in the camera's view.
     """
     reader = BagReader(path, sensor=sensor)
-    planes = {(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")}
+    planes = _accepted({(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")})
     grids: set[tuple[str, int]] = set()
     steps: dict[str, set[tuple[str, int]]] = {}
     for key, plane in planes.items():
@@ -112,6 +112,21 @@ def calibrate_recording(
     calibrated = replay.session.calibrate(datetime.fromtimestamp(1e-9 * stack.stamp, UTC))
     check_calibration(calibrated.model, recorded_setup(reader))
     return replay.session
+
+
+def _accepted(planes: Mapping[tuple[str, int], Any]) -> dict[tuple[str, int], Any]:
+    """Return the planes without those that were rejected: they are followed by another attempt at the same place."""
+    kept: dict[tuple[str, int], Any] = {}
+    for key, plane in planes.items():
+        before = next(reversed(kept), None)
+        if before is not None and before[0] == key[0] and _place(kept[before]) == _place(plane):
+            del kept[before]
+        kept[key] = plane
+    return kept
+
+
+def _place(plane: Any) -> tuple[int, float, float, bool]:
+    return plane.kind, plane.angle, plane.height, plane.held_out
 
 
 class _Replay:

@@ -167,6 +167,13 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings):
         le=86400,
         description="Longest wait for the stage or the operator to place the reference plane [s].",
     )
+    placing_attempts: int = Field(
+        1,
+        ge=1,
+        le=1000,
+        description="Times that a plane is placed and measured until it is accepted; a calibration with an operator "
+        "sets a larger number.",
+    )
     processing_timeout_s: float = Field(
         120.0, gt=0, le=86400, description="Longest wait from the last exposure to the results [s]."
     )

@@ -13,7 +13,7 @@ from fringedic.command.outcome import Progress
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import StepFailedError
 from fringedic.rig.model import RigModel
-from fringedic_bringup.procedures.calibrate import calibration_client
+from fringedic_bringup.procedures.calibrate import calibration_client, placing_by
 from fringedic_ros.stamps import to_nanoseconds
 
 
@@ -33,7 +33,7 @@ def shapes_by_nodes(
     """
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     stamps = []
-    with calibration_client(rig, folder, progress, ask=ask, domain=domain) as client:
+    with calibration_client(rig, folder, progress, place=placing_by(ask), domain=domain) as client:
         for number, place in enumerate(places, start=1):
             words = place_in_words(place)
             progress.part(number, len(places), words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ from fringedic_bringup.client import PERSON_S, START_TIMEOUT_S, RigClient
 from fringedic_bringup.launch.graph import calibration_graph
 from fringedic_bringup.launch.processes import RunningGraph
 
+ATTEMPTS = 1000  # of an operator at one place, who ends a calibration with a button
 SPECIMEN_S = 5.0  # for a stage to put the specimen back after an error
 
 
@@ -67,15 +69,17 @@ def calibrate(
         )
     if rig.projector is None:
         raise ConfigurationError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
-    plane = rig.reference_plane
-    with calibration_client(rig, folder, progress, ask=ask, watch=watch, domain=domain) as client:
+    plane, feedback = rig.reference_plane, _Feedback(progress)
+    with calibration_client(
+        rig, folder, progress, place=placing_by(ask, feedback.before), watch=watch, domain=domain
+    ) as client:
         camera = client.calibrate_distortion(
             grid_pitch,
             angles=plane.grid_angles,
             sigma_angle=plane.sigma_angle,
             frames=plane.grid_frames,
             folder=folder,
-            feedback=_Shown("grid", progress),
+            feedback=feedback.of("grid"),
         )
         go = False
         if camera.error_code:
@@ -88,7 +92,7 @@ def calibrate(
                 sigma_angle=plane.sigma_angle,
                 sigma_height=plane.sigma_height,
                 folder=folder,
-                feedback=_Shown("plane", progress),
+                feedback=feedback.of("plane"),
             )
             go = bool(result.go and not result.error_code)
             words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
@@ -121,13 +125,14 @@ def calibration_client(
     folder: Path,
     progress: Progress,
     *,
-    ask: Callable[[str], bool],
+    place: Callable[[int, float, float], str],
     watch: Callable[[], None] = lambda: None,
     domain: int | None,
 ) -> Iterator[RigClient]:
     """Start the nodes that measure the reference plane and yield their client; parameters as of `calibrate`.
 
-    After an error a stage is requested to put the specimen back.
+    Without a stage `place` has planes placed, as of `RigClient.serve_placing`. After an error a stage is
+    requested to put the specimen back.
 
     Raises
     ------
@@ -149,10 +154,10 @@ def calibration_client(
 
         with RigClient(graph.namespace, domain=domain, watch=check) as client:
             client.wait_until_ready(graph.names)
-            place = client.node.resolve_service_name("reference_plane/place")
-            has_stage = "stage" in graph.names or bool(client.node.count_services(place))  # or a driver of a real one
+            service = client.node.resolve_service_name("reference_plane/place")
+            has_stage = "stage" in graph.names or bool(client.node.count_services(service))  # or a driver of a real one
             if not has_stage:
-                client.serve_placing(placing_by(ask))
+                client.serve_placing(place)
                 _wait_for_a_person(client)
             try:
                 yield client
@@ -163,35 +168,66 @@ def calibration_client(
 
 
 def _wait_for_a_person(client: RigClient) -> None:
-    """Let the experiment node wait for a plane as long as the client does; its default is the time of a stage."""
-    patience = Parameter("placing_timeout_s", value=PERSON_S)
+    """Let the experiment node wait for a plane as long as the client does, and measure a rejected one again.
+
+    Its defaults are those of a stage, which would place the plane as before.
+    """
+    patience = Parameter("placing_timeout_s", value=PERSON_S), Parameter("placing_attempts", value=ATTEMPTS)
     setting = client.node.create_client(SetParameters, "experiment/set_parameters")
-    client.call_again(setting, SetParameters.Request(parameters=[patience.to_parameter_msg()]), START_TIMEOUT_S)
+    request = SetParameters.Request(parameters=[each.to_parameter_msg() for each in patience])
+    client.call_again(setting, request, START_TIMEOUT_S)
 
 
-class _Shown:
-    """Passes the feedback of a calibration action on as progress."""
+class _Feedback:
+    """Passes the feedback of the calibration actions on as progress, and keeps the latest."""
 
-    def __init__(self, what: str, progress: Progress) -> None:
-        self._what = what
+    def __init__(self, progress: Progress) -> None:
         self._progress = progress
+        self._latest: deque[str] = deque(maxlen=2)
 
-    def __call__(self, feedback: Any) -> None:
-        words = f"{self._what}: {feedback.words}"
-        self._progress.part(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
+    def of(self, what: str) -> Callable[[Any], None]:
+        """Return a function for the feedback of one action."""
+
+        def show(feedback: Any) -> None:
+            if not feedback.frames:
+                self._latest.append(feedback.words)
+            words = f"{what}: {feedback.words}"
+            self._progress.part(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
+
+        return show
+
+    def before(self, words: str) -> str:
+        """Return the latest feedback other than this one; empty without any."""
+        return next((each for each in reversed(self._latest) if each != words), "")
 
 
 def _failure(result: Any) -> str:
     return f"{result.error_message} (error {result.error_code})"
 
 
-def placing_by(ask: Callable[[str], bool]) -> Callable[[int, float, float], str]:
-    """Return a function for `RigClient.serve_placing` that asks an operator."""
+def placing_by(
+    ask: Callable[[str], bool], heard_before: Callable[[str], str] = lambda _: ""
+) -> Callable[[int, float, float], str]:
+    """Return a function for `RigClient.serve_placing` that asks an operator.
+
+    Parameters
+    ----------
+    ask
+        Asks the operator; returns False when the operator stops.
+    heard_before
+        Returns what the experiment node has reported before an instruction: why it requests a place again.
+    """
+    last: list[tuple[int, float, float]] = []
 
     def place(kind: int, angle: float, height: float) -> str:
         if kind == PlaneKind.SPECIMEN:
             return ""  # nothing waits for the specimen
-        words = placing_instruction(kind, angle, height)
-        return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped"
+        instruction = placing_instruction(kind, angle, height)
+        question = instruction[:1].upper() + instruction[1:]
+        if last == [(kind, angle, height)]:
+            reason = heard_before(instruction) or "the log contains the reason"
+            question = f"This place was not measured ({reason}). Once more: {instruction}"
+        last[:] = [(kind, angle, height)]
+        return "" if ask(question) else "the operator stopped"
 
     return place

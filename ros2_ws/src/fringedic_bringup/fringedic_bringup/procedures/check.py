@@ -17,7 +17,7 @@ from fringedic.configuration.calibration_in_use import calibration_to_check
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError
 from fringedic.report.check import CHECK_PAGE, write_check_page
-from fringedic_bringup.procedures.calibrate import calibration_client, traceability_of
+from fringedic_bringup.procedures.calibrate import calibration_client, placing_by, traceability_of
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.stamps import to_nanoseconds
 
@@ -70,7 +70,7 @@ def check(
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
     stamps, reached = [], []
-    with calibration_client(rig, folder, progress, ask=ask, watch=watch, domain=domain) as client:
+    with calibration_client(rig, folder, progress, place=placing_by(ask), watch=watch, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
             reached.append(client.place(PLANE, height=height).height)
