@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import Enum, StrEnum
 from pathlib import Path
+from typing import Any
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -38,6 +39,7 @@ class ItemState(Enum):
     DONE = 1
     OUT_OF_DATE = 2
     FAILED = 3
+    NOT_IN_USE = 4
 
 
 _GEOMETRY = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
@@ -66,6 +68,10 @@ class SetupRecord(BaseModel):
         Folder of its files, and a picture in it; empty without.
     good
         False for a check that the calibration did not pass.
+    settings
+        Lines for the rig file (YAML) that put the result into use; empty for a result that needs none.
+    measured_with
+        Lines of the rig file that the result is about, such as the calibration that was checked; empty without.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -74,6 +80,8 @@ class SetupRecord(BaseModel):
     folder: str = ""
     picture: str = ""
     good: bool = True
+    settings: str = ""
+    measured_with: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,20 +94,28 @@ class ListedItem:
         Its result; None when it was not done.
     superseded_by
         Items that were done later and that it depends on.
+    present
+        Lines of the rig file that correspond to the result: its settings, or those that it was measured with.
+    is_in_use
+        Whether they are those of the result.
     """
 
     item: SetupItem
     record: SetupRecord | None
     superseded_by: tuple[SetupItem, ...] = ()
+    present: tuple[str, ...] = ()
+    is_in_use: bool = True
 
     @property
     def state(self) -> ItemState:
         """State of the item."""
         if self.record is None:
             return ItemState.NOT_DONE
-        if self.superseded_by:
+        if self.superseded_by or (self.record.measured_with and not self.is_in_use):
             return ItemState.OUT_OF_DATE
-        return ItemState.DONE if self.record.good else ItemState.FAILED
+        if not self.record.good:
+            return ItemState.FAILED
+        return ItemState.DONE if self.is_in_use else ItemState.NOT_IN_USE
 
 
 @dataclass(frozen=True)
@@ -127,15 +143,34 @@ class CheckList:
         """Return the list with a new result of an item."""
         return replace(self, records={**self.records, item: record})
 
-    def items(self) -> list[ListedItem]:
-        """Return all items in their order."""
-        return [ListedItem(item, self.records.get(item), self._superseding(item)) for item in SetupItem]
+    def items(self, rig_file: Mapping[str, Any] | None = None) -> list[ListedItem]:
+        """Return all items in their order.
+
+        Parameters
+        ----------
+        rig_file
+            Content of the rig file, which decides what is in use; without it every result counts as used.
+        """
+        return [self._item(item, rig_file) for item in SetupItem]
+
+    def _item(self, item: SetupItem, rig_file: Mapping[str, Any] | None) -> ListedItem:
+        record = self.records.get(item)
+        settings = "" if record is None else record.settings or record.measured_with
+        if rig_file is None or not settings:
+            return ListedItem(item, record, self._superseding(item))
+        wanted = _lines(load_yaml(settings))
+        present = _lines(rig_file)
+        lines = tuple(f"{name}: {present.get(name, 'nothing')}" for name in wanted)
+        is_in_use = all(present.get(name) == value for name, value in wanted.items())
+        return ListedItem(item, record, self._superseding(item), lines, is_in_use)
 
     def _superseding(self, item: SetupItem) -> tuple[SetupItem, ...]:
         own = self.records.get(item)
         if own is None:
             return ()
         needed = [each for each in DEPENDS_ON.get(item, ()) if each in self.records]
+        if item is SetupItem.CHECK and own.measured_with:  # the calibration in use decides, not one that is newer
+            needed = []
         return tuple(each for each in needed if self.records[each].when > own.when)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -163,3 +198,12 @@ class CheckList:
             return cls({SetupItem(key): SetupRecord.model_validate(value) for key, value in content.items()})
         except (OSError, UnicodeDecodeError, yaml.YAMLError, ValidationError, ValueError, AttributeError) as error:
             raise RigSetupError(f"{file}: is no check list of the set-up: correct or remove it") from error
+
+
+def _lines(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of nested sections by their paths, such as ``camera.settle_ms``."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        inner = _lines(value) if isinstance(value, Mapping) else None
+        found |= {str(key): value} if inner is None else {f"{key}.{name}": each for name, each in inner.items()}
+    return found

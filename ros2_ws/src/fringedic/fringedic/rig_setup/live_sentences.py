@@ -157,9 +157,14 @@ def next_sentence(item: ListedItem) -> str:
     """Return what to do next about an item."""
     if item.state is ItemState.NOT_DONE:
         return _FIRST[item.item]
+    present = "; ".join(item.present)
     if item.state is ItemState.DONE:
-        return "Nothing to do."
+        return f"Nothing to do. In the rig file: {present}." if present else "Nothing to do."
+    if item.state is ItemState.NOT_IN_USE:
+        return f"Use this result: the rig file still has {present}."
     if item.state is ItemState.FAILED:
         return "The calibration did not pass it: calibrate again, and then repeat it."
+    if not item.superseded_by:
+        return f"Repeat it, because the rig file now has {present}."
     later = " and ".join(TITLES[each].lower() for each in item.superseded_by)
     return f"Repeat it, because {later} was done later."

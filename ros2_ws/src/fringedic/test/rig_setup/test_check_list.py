@@ -71,3 +71,40 @@ def test_a_file_that_is_no_list_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "setup.yaml").write_text(text, "latin-1")
     with pytest.raises(RigSetupError, match=r"setup.yaml: is no check list of the set-up: correct or remove it"):
         CheckList.load(tmp_path / "setup.yaml")
+
+
+def test_a_result_is_done_when_the_rig_file_uses_it() -> None:
+    settings = "calibration: calibration-2/rig_calibration.yaml"
+    found = CheckList().with_record(SetupItem.CALIBRATE, SetupRecord(when=START, settings=settings))
+    old, new = ({"calibration": f"calibration{name}/rig_calibration.yaml"} for name in ("", "-2"))
+    for rig_file, state, words in (
+        (old, ItemState.NOT_IN_USE, "still has calibration: calibration/rig_calibration.yaml"),
+        ({}, ItemState.NOT_IN_USE, "still has calibration: nothing"),
+        (new, ItemState.DONE, "In the rig file: calibration: calibration-2/rig_calibration.yaml"),
+    ):
+        item = {each.item: each for each in found.items(rig_file)}[SetupItem.CALIBRATE]
+        assert item.state is state
+        assert words in next_sentence(item)
+
+
+def test_settings_in_sections_are_compared_one_by_one() -> None:
+    record = SetupRecord(when=START, settings="nodes: {dic: {window: 24, spacing: 8}}")
+    found = CheckList().with_record(SetupItem.ADVISE, record)
+
+    def state(**dic: int) -> ItemState:
+        items = found.items({"camera": {"source": "virtual"}, "nodes": {"dic": dic}})
+        return {each.item: each.state for each in items}[SetupItem.ADVISE]
+
+    assert state(window=24, spacing=8, threads=2) is ItemState.DONE
+    assert state(window=24, spacing=4) is ItemState.NOT_IN_USE
+
+
+def test_a_check_is_about_the_calibration_that_it_checked() -> None:
+    """A new calibration that is not used leaves it valid; one that is used, also an older one, does not."""
+    found = CheckList().with_record(SetupItem.CHECK, SetupRecord(when=START, measured_with="calibration: a.yaml"))
+    later = SetupRecord(when=START + timedelta(hours=1), settings="calibration: b.yaml")
+    found = found.with_record(SetupItem.CALIBRATE, later)
+    for file, state in (("a.yaml", ItemState.DONE), ("b.yaml", ItemState.OUT_OF_DATE)):
+        item = {each.item: each for each in found.items({"calibration": file})}[SetupItem.CHECK]
+        assert item.state is state
+    assert next_sentence(item) == "Repeat it, because the rig file now has calibration: b.yaml."

@@ -19,7 +19,9 @@ from fringedic.command.advice import advise_on_images
 from fringedic.command.folders import unused_folder
 from fringedic.command.run_results import sign_results, write_results
 from fringedic.configuration.changes import change_rig_file, with_angles
+from fringedic.configuration.forecast import forecast
 from fringedic.configuration.programme import Programme
+from fringedic.configuration.programme_check import check_programme, parse_programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
@@ -71,6 +73,13 @@ class Place:
     def rig(self) -> RigFile:
         """The present content of the rig file."""
         return load_rig_file(self.rig_path)
+
+    def content(self) -> dict[str, Any]:
+        """Return the keys of the rig file as they are written; none of a file that cannot be read."""
+        try:
+            return dict(load_yaml(self.rig_path.read_text("utf-8")))
+        except (OSError, UnicodeDecodeError, YAMLError, TypeError, ValueError):
+            return {}
 
     @property
     def folder(self) -> Path:
@@ -134,10 +143,11 @@ def _calibrate(place: Place, job: Job, _: Request, options: Any) -> Outcome:
 
 
 def _check(place: Place, job: Job, _: Request, options: Any) -> Outcome:
-    folder = place.new_folder(job, "check")
+    folder, rig = place.new_folder(job, "check"), place.rig
+    measured_with, words = _calibration_of(place)
     if options.vdi:
         tested = accept(
-            place.rig,
+            rig,
             place.rig_path,
             folder,
             job,
@@ -145,9 +155,9 @@ def _check(place: Place, job: Job, _: Request, options: Any) -> Outcome:
             ask=job.ask,
             domain=place.domain,
         )
-        return Outcome(acceptance_text(tested).splitlines(), good=tested.passed)
+        return Outcome([*acceptance_text(tested).splitlines(), words], good=tested.passed, measured_with=measured_with)
     result = check(
-        place.rig,
+        rig,
         place.rig_path,
         folder,
         job,
@@ -156,7 +166,18 @@ def _check(place: Place, job: Job, _: Request, options: Any) -> Outcome:
         watch=job.raise_when_stopped,
         domain=place.domain,
     )
-    return Outcome([check_sentence(result), *check_warning_sentences(result)], good=result.holds)
+    sentences = [check_sentence(result), *check_warning_sentences(result), words]
+    return Outcome(sentences, good=result.holds, measured_with=measured_with)
+
+
+def _calibration_of(place: Place) -> tuple[str, str]:
+    """Return the line of the rig file that names the calibration in use, empty without one, and a sentence about it."""
+    named = place.content().get("calibration")
+    if not isinstance(named, str):
+        return "", "The calibration that was checked is in the rig file itself."
+    file = place.folder / named
+    written = f", written {datetime.fromtimestamp(file.stat().st_mtime):%Y-%m-%d %H:%M}" if file.is_file() else ""
+    return f"calibration: {named}", f"The calibration that was checked is {named}{written}."
 
 
 def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
@@ -167,8 +188,10 @@ def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     picture = place.own_file("region.png")
     corners = region.save(picture)[1]
     job.writes_into(str(place.folder))
-    change_rig_file(place.rig_path, f"region_file: {corners.name}")
-    return Outcome([f"the region is {share:.0f} % of the image; the rig file uses it"], picture=picture.name)
+    line = f"region_file: {corners.name}"
+    change_rig_file(place.rig_path, line)
+    words = f"the region is {share:.0f} % of the image; the rig file uses it"
+    return Outcome([words], picture=picture.name, measured_with=line)
 
 
 def _noise(place: Place, job: Job, _: Request, options: Any) -> Outcome:
@@ -254,7 +277,7 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
         ExposingClient(graph.namespace, domain=place.domain, watch=running.check) as client,
     ):
         client.wait_until_ready(graph.names)
-        job.stage("ready to measure")
+        job.part(1, 1, "ready to measure")  # from here on there is a part: the page may ask for steps
         try:
             while not job.is_stopping:
                 client.sleep(0.2)
@@ -276,15 +299,27 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
     return Outcome(words, good=not problems and not unmeasured)
 
 
+def check_request(place: Place, request: Request) -> None:
+    """Refuse a run before anything is started for it.
+
+    Raises
+    ------
+    FringedicError
+        The programme is wrong, has moves that the machine cannot make, or does not fit on the disk.
+    """
+    if request.procedure != "run":
+        return
+    rig, programme = _programme(place, request.text)
+    check_programme(rig, programme)
+    if isinstance(request.options, RunOptions) and not request.options.continue_run:
+        forecast(rig, programme).check_disk(place.folder / rig.recording.folder)
+
+
 def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
     """Return the rig, and the programme in a text or in the rig file."""
     if not text.strip():
         return load_rig(place.rig_path, None, None)
-    try:
-        programme = Programme.model_validate(load_yaml(text))
-    except ValueError as error:
-        first = str(error).splitlines()
-        raise ConfigurationError(f"programme: {'; '.join(line.strip() for line in first[1:3])}") from error
+    programme = parse_programme(text)
     rig = place.rig
     if programme.specimen is not None:
         rig = rig.model_copy(update={"specimen": programme.specimen})

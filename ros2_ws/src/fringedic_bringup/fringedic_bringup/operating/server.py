@@ -12,11 +12,12 @@ from typing import Any, Self
 
 from std_msgs.msg import Bool
 
+from fringedic.configuration.changes import change_rig_file
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
 from fringedic.rig_setup.live_sentences import next_sentence
 from fringedic.wording.causes import cause_of
-from fringedic_bringup.operating.procedures import Place, Request, execute, requested
+from fringedic_bringup.operating.procedures import Place, Request, check_request, execute, requested
 from fringedic_bringup.operating.status import STOPPED, Job, State, Status
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.msg import ProcedureStatus, SetupState, StepReport
@@ -27,6 +28,7 @@ from fringedic_ros.stamps import to_msg
 from fringedic_ros.waiting import Patience
 
 CONFIRM = "confirm"  # the procedure that records an item of the live view as done
+USE = "use"  # the procedure that enters the result of an item in the rig file
 LIVE_ITEMS = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
 LONGEST_END_S = 60.0  # of a live view, or of any procedure at the end of the server
 LOST_S = 5.0  # without a sign of the driver's page
@@ -58,6 +60,7 @@ class ProcedureServer:
         self._figures: tuple[str, ...] = ()  # of the last live view
         self._list_file = place.own_file("setup.yaml")
         self._list = CheckList.load(self._list_file)
+        self._shown_time = 0  # change of the rig file whose content the check list shows
         self._driver_silence = Patience(LOST_S)
         # the result of the last procedure stays there while the live view runs
         self._statuses = {
@@ -87,6 +90,8 @@ class ProcedureServer:
             self._changed.clear()
             self._publish()
         self._pause_without_driver()
+        if self._rig_file_time() != self._shown_time:  # it decides which results are in use
+            self._publish_setup()
 
     def __enter__(self) -> Self:
         return self
@@ -105,21 +110,35 @@ class ProcedureServer:
         with _answering(response):
             if request.procedure == CONFIRM:
                 self._confirm(request.pattern)
+            elif request.procedure == USE:
+                response.message = self._use(request.pattern)
             else:
                 self._accept(requested(request.procedure, request.pattern, request.text, request.options))
         return response
 
     def _accept(self, request: Request) -> None:
         running = self._running
-        if self._next is not None or (running is not None and not running.is_live):
-            what = "a procedure is starting" if running is None else f"{running.status.procedure} is running"
-            raise OperatorError(f"{what}: wait until it has ended, or stop it")
+        self._require_idle()
+        check_request(self._place, request)
         if request.procedure == "live":
             self._live, self._live_from = request, 0.0
         else:
             self._next = request
         if running is not None:
             running.stop()
+
+    def _require_idle(self) -> None:
+        """Refuse a change while a procedure other than the live view runs.
+
+        Raises
+        ------
+        OperatorError
+            One runs, or is about to begin.
+        """
+        if self.is_measuring:
+            running = self._running
+            what = "a procedure is starting" if running is None else f"{running.status.procedure} is running"
+            raise OperatorError(f"{what}: wait until it has ended, or stop it")
 
     def _control(
         self, request: ControlProcedure.Request, response: ControlProcedure.Response
@@ -177,6 +196,8 @@ class ProcedureServer:
                     folder=status.folder,
                     picture=outcome.picture,
                     good=outcome.good,
+                    settings=outcome.settings,
+                    measured_with=outcome.measured_with,
                 ),
             )
 
@@ -186,6 +207,15 @@ class ProcedureServer:
         live = self._running if self._running is not None and self._running.is_live else None
         words = self._figures if live is None else live.figures
         self._record(SetupItem(item), SetupRecord(when=datetime.now(UTC), words=words))
+
+    def _use(self, item: str) -> str:
+        """Enter the result of an item in the rig file, and return a sentence about it."""
+        record = self._list.records.get(SetupItem(item)) if item in set(SetupItem) else None
+        if record is None or not record.settings:
+            raise OperatorError(f"{item}: has no result for the rig file; measure it first")
+        self._require_idle()
+        before = change_rig_file(self._place.rig_path, record.settings)
+        return f"the rig file is changed; the file before is {before.name}"
 
     def _record(self, item: SetupItem, record: SetupRecord) -> None:
         self._list = self._list.with_record(item, record)
@@ -213,8 +243,15 @@ class ProcedureServer:
     def _publish_status(self, job: Job) -> None:
         self._statuses[job.is_live].publish(_status_message(job.status))
 
+    def _rig_file_time(self) -> int:
+        try:
+            return self._place.rig_path.stat().st_mtime_ns
+        except OSError:
+            return 0
+
     def _publish_setup(self) -> None:
-        items = [_item_message(each) for each in self._list.items()]
+        self._shown_time = self._rig_file_time()
+        items = [_item_message(each) for each in self._list.items(self._place.content())]
         message = SetupState(rig_file=str(self._place.rig_path), items=items)
         message.header.stamp = to_msg(time.time_ns())
         self._setups.publish(message)

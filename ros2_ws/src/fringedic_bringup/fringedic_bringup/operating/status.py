@@ -29,12 +29,19 @@ class State(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a procedure: sentences, lines for the rig file, the picture in its folder, and whether it is good."""
+    """Result of a procedure: sentences, lines for the rig file, the picture in its folder, and whether it is good.
+
+    Attributes
+    ----------
+    measured_with
+        Lines of the rig file that the result is about, such as the calibration that was checked.
+    """
 
     words: Sequence[str] = ()
     settings: str = ""
     picture: str = ""
     good: bool = True
+    measured_with: str = ""
 
 
 STOPPED = Outcome(["stopped by the operator"], good=False)
