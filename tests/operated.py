@@ -100,9 +100,7 @@ def click_at(page: Page, column: float, row: float) -> None:
 
 def start_programme(page: Page, text: str) -> None:
     view(page, "run")
-    expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)
-    if not page.locator("#programme").is_visible():
-        page.click("summary:has-text('Another programme')")
+    page.check("#own")
     page.fill("#programme", text)
     page.click("#run")
 

@@ -294,8 +294,8 @@ def assert_drawn(message: Any, fields: set[str]) -> None:
 def test_a_whole_programme_is_driven_with_the_keyboard_alone(page: Page) -> None:
     key(page, "nav a[href='#run']")
     expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)
-    if not page.locator("#programme").is_visible():
-        key(page, "#start summary")
+    focus(page, "#of-file")
+    page.keyboard.press("ArrowDown")
     focus(page, "#programme")
     page.keyboard.press("Control+a")
     page.keyboard.type("{experiment: keys, steps: [{}, {}, {hold_s: 600}]}")
@@ -333,14 +333,19 @@ def key(page: Page, selector: str) -> None:
 
 
 def test_wrong_requests_are_answered_by_a_sentence_and_the_next_one_works(page: Page, operated: Operated) -> None:
-    start_programme(page, "{ramp: {steps: 1}}")
-    expect(page.locator("#error")).to_contain_text("programme: ramp", timeout=WAIT_MS)
+    view(page, "run")
+    page.check("#own")
+    page.fill("#programme", "{ramp: {steps: 1}}")
+    expect(page.locator("#problem")).to_contain_text("programme: ramp", timeout=WAIT_MS)
+    expect(page.locator("#run")).to_be_disabled()
+    page.check("#of-file")
     rig = operated.folder / "tiny.yaml"
     before = rig.read_text()
     rig.write_text("camera: {source: nonsense}")
-    expect(page.locator("#start .bad")).to_contain_text("camera", timeout=WAIT_MS)
+    expect(page.locator("#file-error")).to_contain_text("camera", timeout=WAIT_MS)
     rig.write_text(before)
     expect(page.locator("#start .bad")).to_have_count(0, timeout=WAIT_MS)
+    expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)
 
 
 def test_second_browser_looks_and_asks_for_the_wheel(page: Page, browser: Browser, operated: Operated) -> None:

@@ -87,7 +87,8 @@ def test_map_shows_value_and_strain_with_their_uncertainty(page: Page, picture: 
     picture("operator_curves")
     view(page, "space")
     expect(page.locator("main p[role=status]")).to_contain_text("points", timeout=WAIT_MS)
-    page.fill("input[type=number]", "20")
+    page.fill("#magnified", "20")
+    page.press("#magnified", "Tab")
     picture("operator_space")
 
 

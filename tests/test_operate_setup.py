@@ -49,11 +49,12 @@ def measure(page: Page, item: str, **options: str) -> None:
 
 
 def use_result(page: Page, item: str) -> None:
-    """Wait until an item is done, and use its result in the rig file where it has one."""
+    """Wait until an item is measured, and use its result in the rig file where it has one; it is done then."""
+    expect(page.locator(f"#item-{item}")).to_have_class(re.compile("good|care"), timeout=MEASURED_MS)
+    if page.locator(f"#item-{item} .use-result").count():
+        page.click(f"#item-{item} .use-result")
+        expect(page.locator("#message")).to_contain_text("the rig file is changed", timeout=WAIT_MS)
     is_done(page, item)
-    if page.locator("#use").count():
-        page.click("#use")
-        expect(page.locator("#words")).to_contain_text("the rig file is changed", timeout=WAIT_MS)
 
 
 def measure_without_the_browser(page: Page, item: str, operated: Operated) -> None:

@@ -62,7 +62,7 @@ from fringedic_ros.serialized import image_view
 from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
-from operator_node.rig_file import ShownRigFile, programme_rows
+from operator_node.rig_file import ShownRigFile
 from operator_node.rig_state import RigState
 
 TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # an environment variable: parameters are recorded and published
@@ -102,7 +102,7 @@ class OperatorNode(RigNode):
         self._file = ShownRigFile(Path(parameters.rig_file)) if parameters.rig_file else None
         self._maps = SpooledMaps(Path(parameters.maps_folder or tempfile.mkdtemp(prefix="fringedic-maps-")))
         self._folders: dict[str, Path] = {}
-        self._programme: list[dict[str, Any]] = []  # the one that was started instead of the rig file's
+        self._running: list[dict[str, Any]] = []  # steps of the programme that was started last
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._signals = SignalCollector(longest=1)
         self._worker = Worker(self)
@@ -162,6 +162,8 @@ class OperatorNode(RigNode):
         measured = {name for of_step in names.values() for name in of_step}
         found["quantities"] = [described(name) for name in MAPS if name in measured]
         shown = {} if self._file is None else self._file.shown()
+        tests = {} if self._file is None else self._file.tests()
+        found["tests"] = [{"name": name, "when": each.when, "report": each.has_report} for name, each in tests.items()]
         found["rig"] = {
             "kind": "rig",
             "title": self.get_namespace().strip("/") or "rig",
@@ -169,21 +171,23 @@ class OperatorNode(RigNode):
             "machine": self._holds.service_is_ready(),
             "measures": self._measure.server_is_ready(),
             **shown,
-            **({"programme": self._programme} if self._programme else {}),
+            "running": self._running,
         }
         return found
 
     def folders(self) -> Mapping[str, Path]:
         """Return the folders of the results."""
-        return self._folders
+        tests = {} if self._file is None else self._file.tests()
+        return self._folders | {f"test {name}": test.folder for name, test in tests.items()}
 
     async def do(self, command: Any) -> str:
         """Execute a command of the page."""
         if isinstance(command, Start):
             request = command.model_dump() | {"options": json.dumps(command.options)}  # which is YAML as well
+            checked = await self.check(command.text) if command.procedure == "run" else {}
             answer = await self._called(self._starts, StartProcedure.Request(**request))
             if command.procedure == "run":
-                self._programme = await asyncio.to_thread(programme_rows, command.text)
+                self._running = checked["rows"]
             return answer
         if isinstance(command, Control):
             code = getattr(ControlProcedure.Request, command.command.upper())
@@ -197,6 +201,12 @@ class OperatorNode(RigNode):
             return answer
         assert isinstance(command, Measure), "there are no other commands"
         return await self._measure_by_hand(command)
+
+    async def check(self, text: str) -> dict[str, Any]:
+        """Return what a programme would do, and why it may not be started."""
+        if self._file is None:
+            raise OperatorError("this page was started without a rig file: start it with 'fringedic operate RIG.yaml'")
+        return await asyncio.to_thread(self._file.check, text)
 
     async def _discovered(self, client: Client) -> None:
         """Wait for a service of a node that has just started: on a busy computer it is known after the button is."""
@@ -254,7 +264,8 @@ class OperatorNode(RigNode):
             self._worker.submit(self._maps.clear)
 
     def _take_procedure(self, message: ProcedureStatus) -> None:
-        self._folders["run"] = Path(message.folder)
+        if message.procedure in MEASURING and message.folder:  # that of a noise floor has no report of a test
+            self._folders["run"] = Path(message.folder)
         self._state.take_procedure(message, "procedure")
         if message.state == ProcedureStatus.DONE and message.procedure in MEASURING:
             self._worker.submit(self._complete, file_of(Path(message.folder) / f"{RESULTS}.nc", self.sensor))

@@ -60,6 +60,7 @@ class RigState:
             "signals": [],
         }
         self._parts |= {"recorder": None, "step": None, "hand": "", "signals": []}
+        self._seen: dict[str, float] = {}  # last sign of the nodes of some parts
         self._experiment = ""
         self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
         self._remaining = RemainingTime()
@@ -84,7 +85,9 @@ class RigState:
                 self._steps.get(number, {"step": number, "error": ""}) | {"mapped": mapped.get(number, 0)}
                 for number in sorted(self._steps.keys() | mapped.keys())
             ]
-            return {**self._parts, "nodes": nodes, "steps": steps, "log": list(self._log)}
+            # a node that is gone sends nothing about it: its last state is not the present one
+            silent = {part: None for part, seen in self._seen.items() if now - seen > SILENT_S}
+            return {**self._parts, **silent, "nodes": nodes, "steps": steps, "log": list(self._log)}
 
     @property
     def experiment(self) -> str:
@@ -124,6 +127,7 @@ class RigState:
     def take_load(self, message: Any) -> None:
         """Take the mode of the load frame."""
         mode = LOAD_MODES[message.mode] if message.mode < len(LOAD_MODES) else f"mode {message.mode}"
+        self._seen["load"] = self._clock()
         self._set("load", {"mode": f"{mode} ({message.reason})" if message.reason else mode})
 
     def take_signals(self, latest: Mapping[str, Sample]) -> None:
@@ -141,6 +145,7 @@ class RigState:
         while now - self._written[0][0] > RATE_SPAN_S or self._written[0][1] > message.bytes:
             self._written.popleft()
         passed, grown = now - self._written[0][0], message.bytes - self._written[0][1]
+        self._seen["recorder"] = now
         free = _free_bytes(Path(message.path))
         rate = grown / passed if passed > 1 else 0.0
         self._set(
@@ -164,6 +169,8 @@ class RigState:
                 level = ("ok", "warning", "error", "silent")[_level(status.level)]
                 node = {"name": status.name, "level": level, "message": status.message, "values": values}
                 self._nodes[status.name] = (now, node)
+                if status.name.rpartition("/")[2] == "recorder" and "recorder" in self._seen:
+                    self._seen["recorder"] = now  # its own topic has the changes alone
 
     def take_log(self, message: Any) -> None:
         """Take a line of the log."""
@@ -199,7 +206,7 @@ class RigState:
         remaining = self._remaining_s(message) if topic == "procedure" else None
         data |= {
             "title": PROCEDURE_TITLES.get(message.procedure, message.procedure),
-            "remaining_s": None if remaining is None else round(remaining),
+            "remaining_s": None if remaining is None else math.ceil(remaining),
             "folder": Path(message.folder).name,
             "notes": list(message.notes),
             "words": list(message.words),
@@ -266,7 +273,7 @@ class RemainingTime:
         self._was_paused = False
 
     def update(self, now: float, done: float, *, paused: bool) -> float | None:
-        """Return the remaining time [s], None while nothing has been done.
+        """Return the remaining time [s], None while nothing has been done, and when only the results are missing.
 
         Parameters
         ----------
@@ -284,7 +291,7 @@ class RemainingTime:
             self._spent += now - self._seen
         self._done, self._seen, self._was_paused = done, now, paused
         passed = done - self._first
-        return self._spent / passed * (1 - done) if passed > 0 else None
+        return self._spent / passed * (1 - done) if passed > 0 and done < 1 else None
 
 
 def _done(message: Any) -> float:

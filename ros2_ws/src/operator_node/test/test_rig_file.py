@@ -1,18 +1,70 @@
-"""What the page shows of a rig file and of a programme."""
+"""What the page shows of a rig file, of a programme, and of the tests beside it."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from operator_node.rig_file import programme_rows
+from operator_node import rig_file
+from operator_node.rig_file import ShownRigFile
+
+RIG = """
+camera: {source: virtual}
+virtual_rig: {preset: plate, size: tiny}
+load_frame: {source: simulated}
+programme: {ramp: {to_mm: 0.5, steps: 2}}
+"""
 
 
-def test_rows_of_a_programme_are_its_steps() -> None:
-    rows = programme_rows("{ramp: {to_mm: 1.0, steps: 3, speed_mm_per_s: 2.0}}")
-    assert [row["position_mm"] for row in rows] == [0.0, 0.5, 1.0]
-    assert {row["speed_mm_per_s"] for row in rows} == {2.0}
+@pytest.fixture
+def file(tmp_path: Path) -> ShownRigFile:
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG)
+    return ShownRigFile(path)
 
 
-@pytest.mark.parametrize("text", ["", "ramp: [", "ramp: 3", "- 5", "{ramp: {steps: 1}}"])
-def test_a_wrong_programme_has_no_rows(text: str) -> None:
-    assert programme_rows(text) == []
+def test_a_programme_is_shown_and_forecast(file: ShownRigFile) -> None:
+    found = file.check("{ramp: {to_mm: 1.0, steps: 3, speed_mm_per_s: 2.0}}")
+    assert [row["position_mm"] for row in found["rows"]] == [0.0, 0.5, 1.0]
+    assert {row["speed_mm_per_s"] for row in found["rows"]} == {2.0}
+    assert (found["count"], found["problem"]) == (3, "")
+    assert found["words"].startswith("3 steps, ")
+
+
+def test_without_a_text_it_is_that_of_the_rig_file(file: ShownRigFile) -> None:
+    assert [row["position_mm"] for row in file.check("  ")["rows"]] == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("ramp: [", "programme: is not YAML: line 1"),
+        ("ramp: 3", "programme: ramp: "),
+        ("# only a comment", "programme: has no 'key: value'"),
+        ("{ramp: {to_mm: '4,98', steps: 2}}", "programme: ramp.to_mm: write 4.98 with a decimal point"),
+        (
+            "{steps: [{}, {position_mm: 50}]}",
+            "step 2 of 2 of experiment moves the crosshead to 50 mm, outside 0 to 1 mm",
+        ),
+        ("{ramp: {to_mm: 1, steps: 2, speed_mm_per_s: 80}}", "step 1 of 2 of experiment moves at 80 mm/s, faster than"),
+        ("{steps: [{cycle: {times: 90000, steps: [{}]}}]}", "the 90000 steps need"),
+    ],
+)
+def test_what_is_wrong_is_told_before_the_start(file: ShownRigFile, text: str, problem: str) -> None:
+    found = file.check(text)["problem"]
+    assert found.startswith(problem)
+    assert "pydantic" not in found
+
+
+def test_tests_are_those_beside_the_rig_file(
+    file: ShownRigFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rig_file, "LOOK_S", 0.0)
+    file.shown()
+    assert file.tests() == {}
+    for name in ("five-1", "five-2", "notes"):
+        (tmp_path / "recordings" / name / ("bag" if name != "notes" else "text")).mkdir(parents=True)
+    (tmp_path / "recordings" / "five-2" / "report.html").write_text("report")
+    found = {name: each.has_report for name, each in file.tests().items()}
+    assert found == {"five-1": False, "five-2": True}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from fringedic.signals import SignalCollector
 from fringedic_msgs.msg import (
@@ -145,3 +146,23 @@ def test_a_step_has_the_values_of_all_signals_at_its_end_and_then_those_of_its_r
     state.take_procedure(ProcedureStatus(procedure="run", reports=[report]), "procedure")
     (step,) = state.snapshot({})["steps"]
     assert step["signals"] == {"force": 12.0, "position": 2e-3, "grip": 295.0}
+
+
+def test_without_further_frames_no_remaining_time_is_promised(state: RigState, clock: Clock) -> None:
+    """It was 0 s for half a minute, while the results were computed."""
+    after(state, clock, 0, step=0, steps=1, frame=1, frames=60)
+    assert after(state, clock, 3, step=0, steps=1, frame=60, frames=60) is None
+
+
+def test_machine_and_recorder_of_nodes_that_are_gone_are_not_shown(
+    state: RigState, clock: Clock, tmp_path: Path
+) -> None:
+    state.take_load(LoadState(mode=LoadState.HOLD))
+    state.take_recorder(RecorderStatus(state=RecorderStatus.RECORDING, path=str(tmp_path)))
+    clock.now += 4
+    state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name="/rig/recorder", level=b"\0")]))
+    clock.now += 4
+    found = state.snapshot({})
+    assert (found["load"], found["recorder"]["state"]) == (None, "recording"), "the recorder gives signs of life"
+    clock.now += 4
+    assert state.snapshot({})["recorder"] is None

@@ -33,8 +33,8 @@ LARGEST_BODY = 500_000  # [byte] of a command; the longest is a programme
 STATE_PERIOD_S = 0.2
 SHOWN_FILES = {".html", ".png", ".yaml"}
 Measurement = Literal["timing", "response", "calibrate", "check", "region", "noise", "advise"]
-Procedure = Literal[Measurement, "live", "confirm", "settings", "run", "by_hand"]
-Pattern = Literal["white", "fringes", "focus", "crosshair", "axes", "camera_focus", "projector_focus"]
+Procedure = Literal[Measurement, "live", "confirm", "use", "settings", "run", "by_hand"]
+Pattern = Literal["white", "fringes", "focus", "crosshair", "axes", "camera_focus", "projector_focus", Measurement]
 
 
 class _Command(BaseModel):
@@ -61,6 +61,12 @@ class Measure(_Command):
 
     mode: Literal["fringes", "white"] = "fringes"
     set_reference: bool = False
+
+
+class Check(_Command):
+    """Asks what a programme would do; empty: that of the rig file."""
+
+    text: str = Field("", max_length=400_000)
 
 
 class TurnWheel(_Command):
@@ -100,6 +106,15 @@ class Rig(Protocol):
             It is refused.
         """
 
+    async def check(self, text: str) -> dict[str, Any]:
+        """Return what a programme would do: ``rows``, ``count``, ``words``, and the ``problem`` that prevents it.
+
+        Raises
+        ------
+        OperatorError
+            There is no rig for it.
+        """
+
 
 def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
     """Return the application, without the `Guard` that has to stand before it.
@@ -124,6 +139,7 @@ def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
             Route("/gauge", site.gauge),
             Route("/palettes", site.palettes),
             Route("/files/{folder}/{name}", site.file),
+            Route("/check", site.check, methods=["POST"]),
             Route("/do/{name}", site.do, methods=["POST"]),
             WebSocketRoute("/stream", site.stream),
         ],
@@ -209,6 +225,10 @@ class _Site:
         if name not in FOR_EVERYBODY:
             self._wheel.require(session)
         return JSONResponse({"message": await self._rig.do(command)})
+
+    @_answering
+    async def check(self, request: Request) -> Response:
+        return JSONResponse(plain(await self._rig.check(_parsed(Check, await _body(request)).text)))
 
     async def stream(self, socket: WebSocket) -> None:
         await socket.accept()

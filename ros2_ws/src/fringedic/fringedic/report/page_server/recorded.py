@@ -11,6 +11,8 @@ from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
 from fringedic.report.page_server.maps import RecordedMaps, described, described_signal
 
+NO_RIG = "this is a recording: open a rig with 'fringedic operate' to measure"
+
 
 class RecordedRig:
     """The steps and maps of a recorded experiment; it takes no commands.
@@ -55,7 +57,11 @@ class RecordedRig:
 
     async def do(self, command: Any) -> str:  # noqa: ARG002 (that of `Rig`)
         """Refuse every command."""
-        raise OperatorError("this is a recording: open a rig with 'fringedic operate' to measure")
+        raise OperatorError(NO_RIG)
+
+    async def check(self, text: str) -> dict[str, Any]:  # noqa: ARG002 (that of `Rig`)
+        """Refuse every programme."""
+        raise OperatorError(NO_RIG)
 
     def _step(self, index: int, mapped: int) -> dict[str, Any]:
         one = self.maps.experiment.isel(step=index)

@@ -43,18 +43,27 @@ class SmallRig:
 
     def __post_init__(self) -> None:
         self.maps = SpooledMaps(self.folder / "maps")
+        self.put_maps()
+
+    def put_maps(self, hole: int | None = None) -> None:
+        """Keep the maps of both steps, with NaN in a column that is not measured."""
         column, row = np.meshgrid(np.arange(5.0), np.arange(4.0))
         plane = {"x": 1e-3 * column, "y": -1e-3 * row, "z": 0 * row, "v": 0 * row, "w": 0 * row}
         sigmas = {"sigma_u": 1e-7 + 0 * row, "sigma_v": 0 * row, "sigma_w": 0 * row}
         for step in (0, 1):
             maps = plane | {"u": 1e-5 * step * column, **sigmas}
-            self.maps.put(step, {name: values.astype(np.float32) for name, values in maps.items()}, spacing=8)
+            seen = np.where(column == (-1 if hole is None else hole), np.nan, 1.0)
+            kept = {name: (values * seen).astype(np.float32) for name, values in maps.items()}
+            self.maps.put(step, kept, spacing=8)
 
     def snapshot(self) -> dict[str, Any]:
         return self.state
 
     def folders(self) -> Mapping[str, Path]:
         return {"run": self.folder}
+
+    async def check(self, text: str) -> dict[str, Any]:
+        return {"rows": [], "count": 0, "words": text, "problem": ""}
 
     async def do(self, command: Any) -> str:
         self.commands.append(command)
@@ -116,9 +125,9 @@ def free_port() -> int:
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[Site]:
-    """Serve the small rig."""
-    port, rig = free_port(), SmallRig(folder)
+def served(folder: Path, kind: type[SmallRig] = SmallRig) -> Iterator[Site]:
+    """Serve a small rig."""
+    port, rig = free_port(), kind(folder)
     server = PageServer(rig, Address("127.0.0.1", port, TOKEN))
     try:
         yield Site(port, rig, server)

@@ -1,11 +1,11 @@
-// A curve in an SVG: points [x, y, sigma of y or nothing, state or nothing], labels of both axes. The curve is interrupted
-// where the state changes that its values are relative to.
+// A curve in an SVG: points [x, y, sigma of y or nothing, state or nothing], labels of both axes. It has a gap where a value is
+// missing, and where the state changes that its values are relative to.
 
 import { draw, make, number } from "./elements.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 78, BOTTOM = 46, TOP = 12, RIGHT = 16;
 
-export function chart(points, { x, y }) {
+export function chart(points, { x, y, dots = true }) {
   const known = points.filter(([a, b]) => Number.isFinite(a) && Number.isFinite(b));
   if (!known.length) return make("p", { class: "soft" }, "There are no values yet.");
   const band = ([a, b, s]) => [a, b - 2 * (s || 0), b + 2 * (s || 0)], spread = known.map(band);
@@ -21,23 +21,25 @@ export function chart(points, { x, y }) {
     svg.append(draw("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: row(value), y2: row(value) }),
       draw("text", { x: LEFT - 6, y: row(value) + 4, "text-anchor": "end" }, number(value)));
   svg.append(draw("path", { class: "axis", fill: "none", d: `M${LEFT} ${TOP}V${HEIGHT - BOTTOM}H${WIDTH - RIGHT}` }));
-  for (const piece of pieces(known)) {
-    const edges = piece.map(band);
-    if (piece.some((p) => p[2] > 0))
-      svg.append(draw("polygon", { class: "band", points: `${path(edges.map((p) => [p[0], p[2]]))} ${path(edges.map((p) => [p[0], p[1]]).reverse())}` }));
-    svg.append(draw("polyline", { class: "curve", points: path(piece) }));
-  }
-  if (known.length <= 100) for (const [a, b] of known) svg.append(draw("circle", { class: "dot", cx: column(a), cy: row(b), r: 3 }));
+  for (const part of parts(points, ([a, b, s]) => Number.isFinite(a) && Number.isFinite(b) && s > 0))
+    svg.append(draw("polygon", { class: "band", points: `${path(part.map(([a, b, s]) => [a, b + 2 * s]))} ${path(part.map(([a, b, s]) => [a, b - 2 * s]).reverse())}` }));
+  for (const part of parts(points, ([a, b]) => Number.isFinite(a) && Number.isFinite(b)))
+    svg.append(draw("polyline", { class: "curve", points: path(part) }));
+  if (dots && known.length <= 100) for (const [a, b] of known) svg.append(draw("circle", { class: "dot", cx: column(a), cy: row(b), r: 3 }));
   svg.append(draw("text", { x: (LEFT + WIDTH) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, x),
     draw("text", { x: 14, y: HEIGHT / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${HEIGHT / 2})` }, y));
   return svg;
 }
 
-// The points of each state, in their order.
-function pieces(points) {
-  const found = [];
-  points.forEach((point, k) => (k && point[3] === points[k - 1][3] ? found.at(-1).push(point) : found.push([point])));
-  return found;
+// The longest parts without a missing point, each of one state.
+function parts(points, isKnown) {
+  const found = [[]];
+  for (const point of points) {
+    const part = found.at(-1);
+    if (part.length && (!isKnown(point) || part[0][3] !== point[3])) found.push([]);
+    if (isKnown(point)) found.at(-1).push(point);
+  }
+  return found.filter((part) => part.length);
 }
 
 // Limits and round ticks around values.

@@ -1,7 +1,7 @@
 // Curves over the steps of the experiment: its signals, and the other values of each step.
 
 import { chart } from "./chart.js";
-import { make, options } from "./elements.js";
+import { make, options, patch, scaled } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
 import { tried } from "./server.js";
 import { latest, listen } from "./stream.js";
@@ -20,8 +20,6 @@ function axis(key) {
   const name = key.slice(SIGNAL.length), signal = (latest("signals") ?? []).find((each) => each.name === name);
   return [signal ? `${name} [${signal.unit}]` : name, (step) => scaled(step.signals?.[name], 1 / (signal?.factor ?? 1))];
 }
-
-const scaled = (value, factor) => (value === null || value === undefined ? NaN : value * factor);
 
 export function show(place) {
   const choice = (name) => {
@@ -44,12 +42,12 @@ export function show(place) {
   let steps = [];
   const paint = () => {
     const [[x, across], [y, up]] = [axis(kept.x), axis(kept.y)];
-    const sigma = (step) => (kept.y === "strain" ? scaled(step.sigma_strain, VALUES.strain[1]) : 0);
+    const sigma = (step) => (kept.y === "strain" ? scaled(step.sigma_strain, VALUES.strain[1]) : NaN);
     const relative = [kept.x, kept.y].some((key) => RELATIVE.includes(key)), state = (step) => (relative ? step.reference_step : undefined);
-    drawn.replaceChildren(chart(steps.map((step) => [across(step), up(step), sigma(step), state(step)]), { x, y }));
+    patch(drawn, chart(steps.map((step) => [across(step), up(step), sigma(step), state(step)]), { x, y }));
     hint.hidden = ![kept.x, kept.y].includes("strain") || extensometer.points.length === 2;
     const columns = relative ? [[x, across], [y, up], ["relative to step", (step) => step.reference_step ?? NaN]] : [[x, across], [y, up]];
-    table.replaceChildren(make("tr", {}, ...columns.map(([name]) => make("th", {}, name))),
+    patch(table, make("tr", {}, ...columns.map(([name]) => make("th", {}, name))),
       ...steps.map((step) => make("tr", {}, ...columns.map(([, value]) => make("td", {}, cell(value(step)))))));
   };
   place.replaceChildren(make("section", { class: "panel" },

@@ -1,34 +1,67 @@
-// Builds elements: make("button", {class: "main", onclick: start}, "Start").
+// Builds elements, and changes those that are shown: make("button", {class: "main", onclick: start}, "Start").
+
+// The attributes that each element was made with: `patch` compares them, not the page, where a person types and opens.
+const made = new WeakMap();
+const lasting = new WeakSet();
 
 export function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  set(element, attributes);
-  element.append(...children.filter((child) => child !== null && child !== undefined));
-  return element;
+  return build(document.createElement(tag), attributes, children);
 }
 
 export function draw(tag, attributes = {}, ...children) {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  element.append(...children);
+  return build(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
+}
+
+function build(element, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) put(element, name, value);
+  made.set(element, attributes);
+  element.append(...children.filter(isShown));
   return element;
 }
 
-function set(element, attributes) {
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else if (value === true) element.setAttribute(name, "");
-    else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value);
-  }
+const isShown = (child) => child !== null && child !== undefined;
+
+function put(element, name, value) {
+  if (name.startsWith("on")) element[name] = value ?? null;
+  else if (value === true) element.setAttribute(name, "");
+  else if (value === false || !isShown(value)) element.removeAttribute(name);
+  else element.setAttribute(name, value);
 }
 
-// Shows new children; the element of the same id, or else of the same text, keeps the focus of the keyboard.
-export function repaint(place, ...children) {
-  const active = place.contains(document.activeElement) ? document.activeElement : null, text = active?.textContent;
-  place.replaceChildren(...children.filter((child) => child !== null && child !== undefined));
-  if (!active || active === document.activeElement) return;
-  const same = active.id ? document.getElementById(active.id) : [...place.querySelectorAll(active.tagName)].find((each) => each.textContent === text);
-  same?.focus({ preventScroll: true });
+// An element with a state of its own, such as a text field: `patch` shows this one, and never another in its place.
+export function keep(element) {
+  lasting.add(element);
+  return element;
+}
+
+// Shows these children. An element that is there already, with the same tag and id (or data-key), stays the same one and
+// is changed: a button that is pressed, a field that is written in and a fold that is open outlast every message.
+export function patch(place, ...children) {
+  const wanted = children.filter(isShown).map((child) => (child instanceof Node ? child : document.createTextNode(child)));
+  const free = [...place.childNodes].filter((old) => !wanted.includes(old));
+  const shown = wanted.map((child) => {
+    const at = child.parentNode === place ? -1 : free.findIndex((old) => isSame(old, child));
+    if (at < 0) return child;
+    const [old] = free.splice(at, 1);
+    change(old, child);
+    return old;
+  });
+  free.forEach((old) => old.remove()); // first, so that the others need not move
+  shown.forEach((node, k) => { if (place.childNodes[k] !== node) place.insertBefore(node, place.childNodes[k] ?? null); });
+}
+
+const key = (node) => node.id || node.dataset?.key || "";
+const isSame = (old, child) => old.nodeName === child.nodeName && key(old) === key(child) && !lasting.has(old) && !lasting.has(child);
+
+function change(old, child) {
+  if (old.nodeType === Node.TEXT_NODE) {
+    if (old.data !== child.data) old.data = child.data;
+    return;
+  }
+  const before = made.get(old) ?? {}, now = made.get(child) ?? {};
+  for (const name of new Set([...Object.keys(before), ...Object.keys(now)])) if (before[name] !== now[name]) put(old, name, now[name]);
+  made.set(old, now);
+  patch(old, ...child.childNodes);
 }
 
 export function options(select, entries, chosen) {
@@ -43,6 +76,9 @@ export function number(value, digits = 3) {
   const size = Math.abs(value);
   return size >= 1e5 || size < 1e-3 ? value.toExponential(digits - 1) : String(Number(value.toPrecision(digits)));
 }
+
+// A value in another unit; what is missing (null in a message) stays missing, and is never 0.
+export const scaled = (value, factor) => (value === null || value === undefined ? NaN : value * factor);
 
 // A value and its standard deviation with two digits of it, as in "12.34 ± 0.56 µm".
 export function withSigma(value, sigma, unit) {

@@ -1,11 +1,11 @@
 // Figures of the live image: focus, histogram, and each with what to do.
 
-import { draw, make } from "./elements.js";
+import { draw, make, patch } from "./elements.js";
 import { listen } from "./stream.js";
 
 export function figuresPanel() {
   const panel = make("div", { class: "panel", id: "figures" });
-  const end = listen("figures", (figures) => panel.replaceChildren(...(figures ? content(figures) : [make("p", { class: "soft" }, "No figures yet: start the live view.")])));
+  const end = listen("figures", (figures) => patch(panel, ...(figures ? content(figures) : [make("p", { class: "soft" }, "No figures yet: start the live view.")])));
   return { element: panel, end };
 }
 

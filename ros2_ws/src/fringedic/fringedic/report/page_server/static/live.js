@@ -1,35 +1,42 @@
 // The live view: image, pattern of the projector, figures.
 
-import { make, options } from "./elements.js";
+import { button, notDriving } from "./buttons.js";
+import { make, options, patch } from "./elements.js";
 import { figuresPanel } from "./figures.js";
 import { LiveImage } from "./live_image.js";
-import { command } from "./server.js";
-import { listen } from "./stream.js";
+import { numbersField } from "./numbers.js";
+import { cannotStart, isBusy, RUNNING } from "./procedure.js";
+import { command, start } from "./server.js";
+import { latest, listen } from "./stream.js";
 
 const PATTERNS = [["white", "white"], ["fringes", "fringes"], ["focus", "focus lines"], ["crosshair", "crosshair"]];
 
-let part = ""; // of the image, which the figures are about; empty: all of it
+let chosen = "white", part = ""; // of the image, which the figures are about; empty: all of it
 
 export function show(place) {
   const image = new LiveImage(), figures = figuresPanel();
-  const region = make("input", { type: "text", id: "part", value: part, placeholder: "column,row,width,height", pattern: "\\d+(,\\d+){3}" });
-  const start = () => {
-    part = region.value;
-    if (region.reportValidity()) command("start", { procedure: "live", pattern: pattern.value, options: part ? { region: part } : {} });
+  const region = numbersField({ id: "part", value: part, count: 4, whole: true, placeholder: "column, row, width, height" });
+  const begin = () => {
+    const values = region.found();
+    if (!region.input.reportValidity()) return undefined;
+    part = values?.join(",") ?? "";
+    return start({ procedure: "live", pattern: chosen, options: part ? { region: part } : {} });
   };
-  const pattern = make("select", { id: "pattern", onchange: start });
-  options(pattern, PATTERNS);
-  const state = make("p", { class: "soft", role: "status" });
-  const buttons = make("div", { class: "row" }, make("label", {}, "Projector shows", pattern), make("label", {}, "Figures of the part [px]", region),
-    make("button", { onclick: start }, "Start live view"),
-    make("button", { onclick: () => command("control", { command: "stop" }) }, "Stop"));
-  place.replaceChildren(make("div", { class: "columns" }, make("section", { class: "panel" }, buttons, image.element, state), figures.element));
-  const ends = [
-    () => image.end(), figures.end,
-    listen("live", (live) => {
-      if (live?.pattern) pattern.value = live.pattern;
-      state.textContent = live?.error || (live?.state === 1 ? live.activity : "The live view does not run.");
-    }),
-  ];
+  const pattern = make("select", { id: "pattern", onchange: () => { chosen = pattern.value; if (!cannotStart()) begin(); } });
+  options(pattern, PATTERNS, chosen);
+  const state = make("p", { class: "soft", id: "live-state", role: "status" }), row = make("span", { class: "row" });
+  const paint = () => {
+    const live = latest("live"), procedure = latest("procedure"), runs = live?.state === RUNNING;
+    if (runs && live.pattern) pattern.value = chosen = live.pattern;
+    const title = Object.fromEntries(PATTERNS)[live?.pattern] ?? live?.pattern;
+    state.textContent = isBusy(procedure) ? `${procedure.title} runs and shows its own patterns.`
+      : live?.error || (!runs ? "The live view does not run." : live.activity ? `The projector shows ${title}.` : "The live view starts.");
+    patch(row, button("Start live view", { id: "live-start", why: cannotStart(), onclick: begin }),
+      button("Stop", { id: "live-stop", why: notDriving() || (runs ? "" : "The live view does not run."), onclick: () => command("control", { command: "stop" }) }));
+  };
+  place.replaceChildren(make("div", { class: "columns" }, make("section", { class: "panel" },
+    make("div", { class: "row" }, make("label", {}, "Projector shows", pattern), make("label", {}, "Figures of the part [px]", region.input), row),
+    image.element, state), figures.element));
+  const ends = [() => image.end(), figures.end, ...["live", "procedure", "wheel", "rig"].map((topic) => listen(topic, paint))];
   return () => ends.forEach((end) => end());
 }

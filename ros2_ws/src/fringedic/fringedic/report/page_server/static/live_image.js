@@ -12,6 +12,9 @@ export class LiveImage {
     this.ends = [listen("image", (image) => this.take(image)), listen("rig", (rig) => { this.region = rig.region ?? []; this.paint(); })];
   }
 
+  // Called when an image of another size has come; an owner replaces it.
+  sized() {}
+
   end() {
     this.ends.forEach((end) => end());
   }
@@ -30,8 +33,10 @@ export class LiveImage {
       this.canvas.dataset.stamp = next.stamp;
       if (this.size?.[0] !== next.width || this.size?.[1] !== next.height) {
         this.size = [next.width, next.height];
+        this.element.style.setProperty("--aspect", next.width / next.height);
         this.marks.setAttribute("viewBox", `-0.5 -0.5 ${next.width} ${next.height}`); // pixel centres are whole numbers
         this.paint();
+        this.sized();
       }
     }
     this.decoding = false;
@@ -40,14 +45,15 @@ export class LiveImage {
   // Shows polygons that are being drawn instead of the region in force.
   sketch(polygons) {
     this.polygons = polygons;
+    this.isSketch = true;
     this.paint();
   }
 
   paint() {
-    const shown = this.polygons.length ? this.polygons : this.region ?? [];
+    const shown = this.isSketch ? this.polygons : this.region ?? [];
     this.marks.replaceChildren(...shown.flatMap(({ points, hole, open }) => [
       draw(open ? "polyline" : "polygon", { class: `overlay${hole ? " hole" : ""}`, points: points.map((p) => p.join(",")).join(" ") }),
-      ...(this.polygons.length ? points.map(([x, y]) => draw("circle", { class: "overlay corner", cx: x, cy: y, r: (this.size?.[0] ?? 100) / 150 })) : [])]));
+      ...(this.isSketch ? points.map(([x, y]) => draw("circle", { class: "overlay corner", cx: x, cy: y, r: (this.size?.[0] ?? 100) / 150 })) : [])]));
   }
 
   // The position of a pointer event in pixels of the camera, column and row.

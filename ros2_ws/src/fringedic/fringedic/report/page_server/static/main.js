@@ -1,14 +1,16 @@
-// The frame of the page: views, who drives, the hold button, and the state in one line.
+// The frame of the page: views, who drives, the hold button, the question that waits, and the state in one line.
 
-import { make, repaint } from "./elements.js";
-import { command, newest, say } from "./server.js";
+import { button } from "./buttons.js";
+import { make, patch } from "./elements.js";
+import { questionParts } from "./procedure.js";
+import { command, forgetRefusal, newest, say } from "./server.js";
 import { connect, latest, listen } from "./stream.js";
 
 const OF_A_RIG = { setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", log: "Log" };
 const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D" };
-const place = document.getElementById("view");
+const place = document.getElementById("view"), holdButton = document.getElementById("hold");
 const chosen = newest();
-let leave = () => {}, current = "";
+let leave = () => {}, current = "", state = "";
 
 function views() {
   return latest("rig")?.kind === "recording" ? OF_A_RECORDING : OF_A_RIG;
@@ -17,8 +19,8 @@ function views() {
 async function route() {
   if (!latest("rig")) return;
   const known = views(), name = location.hash.slice(1) in known ? location.hash.slice(1) : Object.keys(known)[0];
-  repaint(document.getElementById("views"),
-    ...Object.entries(known).map(([key, text]) => make("a", { href: `#${key}`, "aria-current": key === name ? "page" : null }, text)));
+  patch(document.getElementById("views"),
+    ...Object.entries(known).map(([key, text]) => make("a", { href: `#${key}`, "data-key": key, "aria-current": key === name ? "page" : null }, text)));
   if (name === current) return;
   current = name;
   leave();
@@ -31,32 +33,43 @@ async function route() {
 function takeRig(rig) {
   document.title = `${rig.title} – fringedic`;
   document.getElementById("title").textContent = rig.title;
-  const live = rig.kind === "rig";
-  document.getElementById("hold").hidden = document.getElementById("hold-note").hidden = !(live && (rig.load_frame || rig.machine));
-  if (!live) document.getElementById("summary").replaceChildren("recording",
+  const live = rig.kind === "rig", isOffered = live && (rig.load_frame || rig.machine);
+  holdButton.hidden = document.getElementById("hold-note").hidden = !isOffered;
+  // it is sent all the same: the service of a node that has just started is seen a moment later
+  document.getElementById("no-hold").hidden = rig.machine;
+  holdButton.classList.toggle("off", !rig.machine);
+  if (!live) patch(document.getElementById("summary"), "recording",
     rig.report ? make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, " report") : "");
   route();
 }
 
 function takeWheel(wheel) {
-  const give = make("button", { onclick: () => command("wheel", { action: "give" }) }, wheel.asking ? `Hand over to ${wheel.asking}` : "Hand over");
-  const ask = make("button", { onclick: () => command("wheel", { action: "ask" }), disabled: wheel.asked }, wheel.asked ? "Asked for the wheel" : "Ask for the wheel");
+  const give = button(wheel.asking ? `Hand over to ${wheel.asking}` : "Hand over", { id: "give", onclick: () => command("wheel", { action: "give" }) });
+  const ask = button(wheel.asked ? "Asked for the wheel" : "Ask for the wheel", { id: "ask", onclick: () => command("wheel", { action: "ask" }),
+    why: wheel.asked ? `${wheel.driver} has been asked: wait until the wheel is handed over.` : "" });
   const who = wheel.drives ? "You drive" : wheel.driver_present ? `${wheel.driver} drives` : "Nobody drives";
-  repaint(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
+  patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
 }
 
 const STATES = ["", "runs", "pauses after this step", "is paused", "stops", "has ended", "has failed"];
 
 function takeProcedure(procedure) {
+  const question = document.getElementById("question"), parts = questionParts(procedure);
+  question.hidden = !parts.length;
+  patch(question, ...parts);
   if (!procedure) return;
+  const now = `${procedure.procedure} ${procedure.state}`;
+  if (state && now !== state) forgetRefusal();
+  state = now;
   const step = procedure.procedure === "run" && procedure.steps ? `, step ${procedure.step} (last: ${procedure.steps - 1})` : "";
   document.getElementById("summary").textContent = procedure.procedure ? `${procedure.title} ${STATES[procedure.state]}${step}` : "ready";
 }
 
-document.getElementById("hold").addEventListener("click", () => command("hold"));
+// Never held back, and for everybody.
+holdButton.addEventListener("click", () => command("hold"));
 addEventListener("hashchange", route);
 listen("rig", takeRig);
-listen("wheel", takeWheel);
+listen("wheel", (wheel) => { takeWheel(wheel); takeProcedure(latest("procedure")); });
 listen("procedure", takeProcedure);
 listen("connected", (is) => say(is ? "" : "The page has lost its server. The measurement goes on without it; the page connects again by itself."));
 listen("refused", say);

@@ -21,6 +21,7 @@ export class MapCanvas {
     this.tile = tile;
     const { canvas } = this, { values, rows, columns } = tile;
     [canvas.width, canvas.height] = [columns, rows];
+    this.element.style.setProperty("--aspect", columns / rows);
     canvas.setAttribute("aria-label", `${label}; the arrow keys move the pointer, Enter selects a point`);
     this.marks.setAttribute("viewBox", `0 0 ${columns * tile.spacing} ${rows * tile.spacing}`);
     const image = new ImageData(columns, rows), scale = 256 / (high - low || 1);
@@ -31,6 +32,13 @@ export class MapCanvas {
     }
     canvas.getContext("2d").putImageData(image, 0, 0);
     this.pointed(this.place());
+  }
+
+  clear() {
+    this.tile = null;
+    this.canvas.removeAttribute("aria-label");
+    this.canvas.getContext("2d").clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.marks.replaceChildren();
   }
 
   // Draws lines and points [column, row] over the map.
@@ -90,4 +98,17 @@ export function usualRange(values) {
   const known = values.filter((value) => !Number.isNaN(value)).sort();
   if (!known.length) return [0, 1];
   return [known[Math.floor(0.02 * (known.length - 1))], known[Math.ceil(0.98 * (known.length - 1))]];
+}
+
+// The middle one of the values that are known, NaN without any.
+export function median(values) {
+  const known = values.filter((value) => !Number.isNaN(value)).sort();
+  return known.length ? known[known.length >> 1] : NaN;
+}
+
+// Draws the colours of a palette from left to right.
+export function colourBar(canvas, colours) {
+  const image = new ImageData(256, 1);
+  for (let i = 0; i < 256; i++) image.data.set([...colours.slice(3 * i, 3 * i + 3), 255], 4 * i);
+  canvas.getContext("2d").putImageData(image, 0, 0);
 }

@@ -1,14 +1,17 @@
 // Maps of a step with their colours, the value and its standard deviation under the pointer, profile and extensometer.
 
 import { chart } from "./chart.js";
-import { make, number, options, withSigma } from "./elements.js";
+import { make, number, options, scaled, withSigma } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
-import { MapCanvas, usualRange, valueAt } from "./map_canvas.js";
+import { colourBar, MapCanvas, median, usualRange, valueAt } from "./map_canvas.js";
+import { numberField } from "./numbers.js";
 import { line, newest, palettes, tile, tried } from "./server.js";
 import { listen } from "./stream.js";
 
 const PREFERRED = ["v", "displacement_y", "shape_z"];
-const kept = { quantity: "", palette: "viridis", tool: "look", follow: true };
+const kept = { quantity: "", palette: "viridis", tool: "look", follow: true, step: null };
+const DIVERGING = "RdBu_r"; // its middle colour is zero
+const LEAST_SIGMAS = 10; // of a range, so that noise alone is not spread over all colours
 
 export function show(place) {
   const view = new MapsView();
@@ -24,13 +27,14 @@ class MapsView {
     this.points = [];
     this.latestProbe = newest();
     this.map = new MapCanvas((place) => this.read(place), (place) => this.click(place));
-    this.step = make("select", { id: "step", onchange: () => { kept.follow = this.step.selectedIndex === this.step.length - 1; this.load(); } });
+    this.step = make("select", { id: "step", onchange: () => { kept.step = this.step.value; kept.follow = this.step.selectedIndex === this.step.length - 1; this.load(); } });
     this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.takeSteps(this.steps); } });
-    this.palette = make("select", { id: "palette", onchange: () => { kept.palette = this.palette.value; this.paint(); } });
+    this.palette = make("select", { id: "palette", onchange: () => { kept.palette = this.palette.value; if (!this.fixed) this.auto(); this.paint(); } });
     options(this.palette, [["viridis", "viridis"], ["RdBu_r", "blue to red"], ["gray", "grey"]], kept.palette);
     const fix = () => { this.fixed = true; this.paint(); }; // the range then stays for the next steps
-    this.low = make("input", { type: "number", step: "any", id: "low", onchange: fix });
-    this.high = make("input", { type: "number", step: "any", id: "high", onchange: fix });
+    this.low = numberField({ id: "low", changed: fix });
+    this.high = numberField({ id: "high", changed: fix });
+    for (const { input } of [this.low, this.high]) input.addEventListener("input", () => { this.fixed = true; });
     this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints(this.earlier()); } });
     options(this.tool, [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"]], kept.tool);
     this.readout = make("p", { class: "readout", id: "readout", role: "status" });
@@ -53,7 +57,7 @@ class MapsView {
   scale() {
     return make("div", {},
       make("div", { class: "bar" }, this.lowText = make("span"), this.bar, this.highText = make("span")),
-      make("div", { class: "row" }, make("label", {}, "from", this.low), make("label", {}, "to", this.high),
+      make("div", { class: "row" }, make("label", {}, "from", this.low.input), make("label", {}, "to", this.high.input),
         make("button", { onclick: () => { this.auto(); this.paint(); } }, "Range of this map")));
   }
 
@@ -68,9 +72,19 @@ class MapsView {
     this.steps = steps;
     const level = this.quantities.find(({ name }) => name === this.quantity.value)?.level ?? 1;
     const mapped = steps.filter((step) => step.mapped >= level).map((step) => [step.step, String(step.step)]);
-    options(this.step, mapped, kept.follow ? mapped.at(-1)?.[0] : this.step.value);
+    if (kept.follow) kept.step = mapped.at(-1)?.[0] ?? null;
+    const isThere = kept.step === null || mapped.some(([step]) => String(step) === String(kept.step));
+    options(this.step, isThere ? mapped : [...mapped, [kept.step, `${kept.step}: has no such map`]], kept.step);
     if (!mapped.length) this.readout.textContent = "No step has been measured yet.";
-    this.load();
+    else if (!isThere) this.forget(`Step ${kept.step} has no map ${this.quantity.value}.`);
+    if (isThere) this.load();
+  }
+
+  // Shows no map rather than that of another step.
+  forget(why) {
+    [this.values, this.loaded, this.loading] = [null, null, null];
+    this.map.clear();
+    this.readout.textContent = why;
   }
 
   async load() {
@@ -98,25 +112,28 @@ class MapsView {
     return { values, sigma, resolution, colours, chosen: quantity, shown: step };
   }
 
+  // The range of the values: with zero in its middle for two colours, and not narrower than what noise alone would fill.
   auto() {
     this.fixed = false;
-    this.low.value = this.high.value = "";
+    this.low.input.value = this.high.input.value = "";
     if (!this.values || this.chosen.name !== this.quantity.value) return;
-    const [low, high] = usualRange(this.values.values).map((value) => value / this.chosen.factor);
-    [this.low.value, this.high.value] = [Number(low.toPrecision(4)), Number(high.toPrecision(4))];
+    let [low, high] = usualRange(this.values.values);
+    const sigma = this.sigma ? median(this.sigma.values) : NaN, least = LEAST_SIGMAS * sigma;
+    if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
+    if (this.palette.value === DIVERGING) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
+    const text = (value) => String(Number((value / this.chosen.factor).toPrecision(4)));
+    [this.low.input.value, this.high.input.value] = [text(low), text(high)];
   }
 
   paint() {
-    if (!this.values) return;
+    const [low, high] = [this.low.found(), this.high.found()];
+    if (!this.values || !Number.isFinite(low) || !Number.isFinite(high)) return;
     const { factor, unit, meaning } = this.chosen, colours = this.colours[this.palette.value];
-    const [low, high] = [Number(this.low.value), Number(this.high.value)];
     this.map.show(this.values, colours, low * factor, high * factor, `${meaning}, step ${this.shown}`);
     this.map.mark(this.points);
     this.lowText.textContent = `${number(low)} ${unit}`;
     this.highText.textContent = `${number(high)} ${unit}`;
-    const image = new ImageData(256, 1);
-    for (let i = 0; i < 256; i++) image.data.set([...colours.slice(3 * i, 3 * i + 3), 255], 4 * i);
-    this.bar.getContext("2d").putImageData(image, 0, 0);
+    colourBar(this.bar, colours);
   }
 
   read(place) {
@@ -150,16 +167,17 @@ class MapsView {
 
   async profile() {
     const { name, unit, factor, meaning } = this.chosen, found = await line(this.shown, name, ...this.points);
-    const points = found.position.map((at, k) => [at, found.value[k] === null ? NaN : found.value[k] / factor, (found.sigma?.[k] ?? 0) / factor]);
+    const points = found.position.map((at, k) => [at, scaled(found.value[k], 1 / factor), scaled(found.sigma?.[k], 1 / factor)]);
     return [make("h2", {}, `Profile of ${name}`), make("p", { class: "soft" }, `${meaning}; the band is ± 2 standard deviations.`),
       chart(points, { x: "distance [px]", y: `${name} [${unit}]` })];
   }
 
   async extensometer() {
     const found = await strains();
-    const points = found.map((each) => [each.step, 1e6 * each.strain, 1e6 * (each.sigma_strain ?? 0)]), last = found.at(-1);
+    const points = found.map(({ step, strain, sigma_strain }) => [step, scaled(strain, 1e6), scaled(sigma_strain, 1e6)]);
+    const { strain, sigma_strain, length } = found.find(({ step }) => step === Number(this.shown)) ?? {};
     return [make("h2", {}, "Extensometer"),
-      make("p", { id: "strain" }, `Step ${last.step}: ${withSigma(1e6 * last.strain, 1e6 * last.sigma_strain, "µstrain")}, length ${number(1e3 * last.length, 5)} mm`),
+      make("p", { id: "strain" }, `Step ${this.shown}: ${withSigma(scaled(strain, 1e6), scaled(sigma_strain, 1e6), "µstrain")}, length ${number(scaled(length, 1e3), 5)} mm`),
       chart(points, { x: "step", y: "strain [µstrain]" })];
   }
 }

@@ -1,57 +1,87 @@
-// The procedure that runs or ran last: progress, question to the operator, result, and the buttons that control it.
+// The procedure that runs or ran last: progress, result, and the buttons that control it; and its question.
 
-import { make, repaint } from "./elements.js";
-import { command } from "./server.js";
-import { listen } from "./stream.js";
+import { button, notDriving } from "./buttons.js";
+import { make, patch } from "./elements.js";
+import { command, start } from "./server.js";
+import { latest, listen } from "./stream.js";
 
 export const RUNNING = 1, PAUSING = 2, PAUSED = 3, STOPPING = 4, FAILED = 6;
-export const isBusy = (procedure) => procedure && procedure.state >= RUNNING && procedure.state <= STOPPING;
+export const isBusy = (procedure) => Boolean(procedure) && procedure.state >= RUNNING && procedure.state <= STOPPING;
 const control = (name) => () => command("control", { command: name });
+
+// Why no procedure can be started now; empty when one can.
+export function cannotStart() {
+  const procedure = latest("procedure");
+  if (!latest("rig")?.operated) return "This rig was started elsewhere: its procedures are started there.";
+  if (isBusy(procedure)) return `${procedure.title} runs: wait until it has ended, or stop it.`;
+  return notDriving();
+}
 
 // A panel that is empty when the procedure is none of `names`.
 export function procedurePanel(names) {
   const panel = make("section", { class: "panel", id: "procedure", hidden: true });
-  const end = listen("procedure", (procedure) => {
+  const paint = () => {
+    const procedure = latest("procedure");
     panel.hidden = !procedure || !names.includes(procedure.procedure);
-    if (!panel.hidden) repaint(panel, ...content(procedure));
-  });
-  return { element: panel, end };
+    if (!panel.hidden) patch(panel, ...content(procedure));
+  };
+  const ends = ["procedure", "wheel", "rig"].map((topic) => listen(topic, paint));
+  return { element: panel, end: () => ends.forEach((end) => end()) };
 }
 
 function content(procedure) {
   const busy = isBusy(procedure), parts = [make("h2", {}, procedure.title)];
-  if (procedure.question) parts.push(make("p", { id: "question", role: "alert" }, `${procedure.question}.`),
-    make("div", { class: "row" }, make("button", { class: "main", id: "confirm", onclick: control("confirm") }, "Done, continue"), make("button", { id: "refuse", onclick: control("refuse") }, "End")));
   if (busy) parts.push(make("p", { id: "activity" }, activity(procedure)), bar(procedure),
     make("div", { class: "row" }, ...buttons(procedure)));
   if (procedure.error) parts.push(make("p", { class: "bad", id: "error" }, procedure.error));
   if (procedure.words.length) parts.push(make("pre", { class: procedure.state === FAILED ? "bad" : "", id: "words" }, procedure.words.join("\n")));
-  if (procedure.settings) parts.push(make("pre", { class: "soft" }, procedure.settings),
-    make("button", { class: "main", id: "use", onclick: () => command("start", { procedure: "settings", text: procedure.settings }) }, "Use this in the rig file"));
-  if (procedure.notes.length) parts.push(make("details", { open: busy }, make("summary", {}, "Notes"), make("pre", {}, procedure.notes.join("\n"))));
+  if (procedure.settings) parts.push(make("pre", { class: "soft", id: "settings" }, procedure.settings),
+    button("Use this in the rig file", { class: "main", id: "use", why: cannotStart(), onclick: () => start({ procedure: "settings", text: procedure.settings }) }));
+  if (procedure.notes.length) parts.push(make("details", { id: "notes", open: busy }, make("summary", {}, "Notes"), make("pre", {}, procedure.notes.join("\n"))));
   return parts;
+}
+
+// The question that the procedure waits with: in every view, because nothing goes on before its answer.
+export function questionParts(procedure) {
+  if (!procedure?.question) return [];
+  const why = notDriving();
+  return [make("p", { role: "alert" }, `${procedure.question}.`),
+    make("div", { class: "row" }, button("Done, continue", { class: "main", id: "confirm", why, onclick: control("confirm") }),
+      button("End", { id: "refuse", why, onclick: control("refuse") }))];
 }
 
 const LONG = ["run", "by_hand"];
 
+// Every button stays where it is from begin to end; one that has no effect now says why.
 function buttons(procedure) {
-  const shown = [];
-  if (procedure.procedure === "run") shown.push(procedure.state === RUNNING
-    ? make("button", { id: "pause", onclick: control("pause") }, "Pause after this step")
-    : make("button", { id: "resume", class: "main", disabled: procedure.state === STOPPING, onclick: control("resume") }, "Continue"));
-  shown.push(make("button", { id: "stop", disabled: procedure.state === STOPPING, onclick: control("stop") }, LONG.includes(procedure.procedure) ? "Stop and write results" : "Stop"));
-  return shown;
+  const { state, steps, reports } = procedure, stopping = state === STOPPING ? "It is being stopped." : "";
+  const ending = reports.length && !steps ? "No step follows: the results are being written." : "";
+  const why = notDriving() || stopping;
+  return [
+    procedure.procedure === "run" ? button("Pause after this step", { id: "pause", onclick: control("pause"),
+      why: why || ending || (state === RUNNING ? "" : "It pauses already.") }) : null,
+    procedure.procedure === "run" ? button("Continue", { id: "resume", onclick: control("resume"),
+      why: why || ending || (state === RUNNING ? "It is not paused." : "") }) : null,
+    button(LONG.includes(procedure.procedure) ? "Stop and write results" : "Stop", { id: "stop", why, onclick: control("stop") }),
+  ].filter(Boolean);
 }
 
 function activity({ procedure, activity, step, steps, frame, frames, remaining_s }) {
   const parts = [procedure === "run" && steps ? `Step ${step} (last: ${steps - 1}): ${activity}` : steps > 1 ? `${step + 1} of ${steps}: ${activity}` : activity];
   if (frames) parts.push(`frame ${frame} of ${frames}`);
-  if (remaining_s !== null) parts.push(`about ${duration(remaining_s)} left`);
+  if (remaining_s) parts.push(`about ${duration(remaining_s)} left`);
   return parts.join(", ");
 }
 
-const duration = (seconds) => (seconds < 100 ? `${seconds} s` : seconds < 6000 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);
+// A time for people.
+export function duration(seconds) {
+  if (seconds < 100) return `${Math.round(seconds)} s`;
+  if (seconds < 6000) return `${Math.round(seconds / 60)} min`;
+  if (seconds < 48 * 3600) return `${(seconds / 3600).toFixed(1)} h`;
+  return seconds < 60 * 86400 ? `${Math.round(seconds / 86400)} days` : "more than 60 days";
+}
 
 function bar({ step, steps, frame, frames }) {
-  return make("progress", steps ? { max: steps, value: Math.max(step + (frames ? frame / frames : 0), 0), "aria-label": "progress" } : { "aria-label": "progress" });
+  const known = steps > 1 || frames;
+  return make("progress", { "aria-label": "progress", max: known ? steps : null, value: known ? Math.max(step + (frames ? frame / frames : 0), 0) : null });
 }

@@ -1,53 +1,142 @@
-// Runs a programme: its table, start, pause, stop, steps by hand; state of machine, recorder and calibration.
+// Runs a programme: chosen, checked and shown before it can be started; then its steps; state of machine and recorder.
 
-import { make, number, repaint } from "./elements.js";
+import { button, notDriving } from "./buttons.js";
+import { chart } from "./chart.js";
+import { keep, make, number, patch, scaled } from "./elements.js";
 import { LiveImage } from "./live_image.js";
-import { FAILED, isBusy, procedurePanel } from "./procedure.js";
-import { command } from "./server.js";
+import { cannotStart, duration, FAILED, isBusy, procedurePanel } from "./procedure.js";
+import { checkProgramme, command, newest, start } from "./server.js";
 import { latest, listen } from "./stream.js";
+
+const WRITTEN_MS = 400; // without a key, after which a programme that is being written is checked
+const STEPS_S = 0.5; // between two steps of the curve that are done at the same place
 
 export function show(place) {
   const image = new LiveImage(), procedure = procedurePanel(["run", "by_hand"]);
-  const start = make("div", { class: "panel", id: "start" }), table = make("table", { id: "steps" });
-  const facts = make("dl", { class: "panel", id: "facts" });
+  const panel = make("div", { class: "panel", id: "start" }), steps = make("div", { class: "panel scroll" }, make("table", { id: "steps" }));
+  const facts = make("dl", { class: "panel", id: "facts" }), tests = make("section", { class: "panel", id: "tests" });
   place.replaceChildren(make("div", { class: "columns" },
-    make("section", {}, start, procedure.element, make("div", { class: "panel scroll" }, table)),
-    make("section", {}, facts, image.element)));
-  const paint = () => { repaint(start, ...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
-  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "signals", "recorder", "hand", "nodes"].map((topic) => listen(topic, paint))];
+    make("section", {}, panel, procedure.element, steps), make("section", {}, facts, image.element, tests)));
+  const paint = () => {
+    patch(panel, ...startParts());
+    patch(steps.firstChild, ...rows());
+    steps.hidden = steps.firstChild.childElementCount < 2;
+    patch(facts, ...factList());
+    patch(tests, ...testParts());
+  };
+  repaint = paint;
+  const topics = ["rig", "procedure", "steps", "step", "load", "signals", "recorder", "hand", "nodes", "wheel", "tests"];
+  const ends = [() => image.end(), procedure.end, () => { repaint = () => {}; }, ...topics.map((topic) => listen(topic, paint)), listen("rig", checkAgain)];
   return () => ends.forEach((end) => end());
 }
 
-// One text for all states of the page: what is being written outlasts every change of them.
-const text = make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" });
-const another = make("details", {}, make("summary", {}, "Another programme"), text);
-let shown = "";
+// The one programme that is shown, checked and started: that of the rig file, or the text.
+let repaint = () => {}, isOwn = false, checked = null, of = null, writing = 0;
+const inTurn = newest();
+const text = keep(make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" }));
+text.addEventListener("input", () => {
+  checked = null;
+  repaint();
+  clearTimeout(writing);
+  writing = setTimeout(check, WRITTEN_MS);
+});
 
-function startPanel() {
-  const rig = latest("rig") ?? {}, procedure = latest("procedure"), busy = isBusy(procedure);
-  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, procedure?.folder, procedure?.words, rig.load_frame, (latest("nodes") ?? []).length > 0]);
-  if (state === shown && text.isConnected) return [...text.closest("#start").childNodes];
-  shown = state;
-  another.hidden = busy; // the table of the steps is what one looks at then
-  const by_hand = busy && procedure.procedure === "by_hand";
+const selected = () => (isOwn ? text.value : "");
+
+function choose(own) {
+  isOwn = own;
+  check();
+}
+
+// Checks the programme again when the rig file has changed.
+function checkAgain(rig) {
+  const state = `${rig.file} ${rig.changed} ${rig.file_error}`;
+  if (state !== of && rig.operated) {
+    of = state;
+    check();
+  }
+}
+
+async function check() {
+  checked = null;
+  repaint();
+  if (isOwn && !selected().trim()) checked = { rows: [], count: 0, words: "", problem: "Write a programme, or choose that of the rig file." };
+  else checked = await inTurn(checkProgramme(selected())).catch((error) => ({ rows: [], count: 0, words: "", problem: error.message })) ?? checked;
+  repaint();
+}
+
+const cannotRun = () => cannotStart() || (!checked ? "The programme is being checked." : checked.problem);
+
+function startParts() {
+  const rig = latest("rig") ?? {}, procedure = latest("procedure"), busy = isBusy(procedure), operated = rig.operated;
   // a stop, or a fault of the machine, ends a programme: only a person may go on with it
-  const ended = procedure?.procedure === "run" && procedure.state === FAILED && procedure.words.length && procedure.folder;
+  const ended = !busy && procedure?.procedure === "run" && procedure.state === FAILED && procedure.words.length && procedure.folder;
   return [
     make("h2", {}, "Test"),
-    rig.file_error ? make("p", { class: "bad" }, rig.file_error) : null,
-    rig.load_frame ? make("p", { class: "care" }, "Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.") : null,
+    rig.file_error ? make("p", { class: "bad", id: "file-error" }, rig.file_error) : null,
+    ...(operated && !busy ? programmeParts() : []), // else the table of the steps is what one looks at
+    rig.load_frame && !busy ? make("p", { class: "care" }, "Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.") : null,
     make("div", { class: "row" },
-      make("button", { class: "main", id: "run", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "run", text: text.value }) }, "Start the programme"),
-      ended ? make("button", { id: "go-on", disabled: !rig.operated, onclick: () => command("start", { procedure: "run", text: text.value, options: { continue_run: procedure.folder } }) }, "Go on with the last run") : null,
-      make("button", { id: "by-hand", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "by_hand" }) }, "Measure by hand"),
-      by_hand || !rig.operated ? make("button", { id: "measure", class: "main", disabled: !rig.measures, onclick: () => command("measure", {}) }, "Measure one step") : null),
+      button("Start the programme", { class: "main", id: "run", why: cannotRun(), onclick: () => start({ procedure: "run", text: selected() }) }),
+      ended ? button("Go on with the last run", { id: "go-on", why: cannotRun(), onclick: () => start({ procedure: "run", text: selected(), options: { continue_run: procedure.folder } }) }) : null,
+      button("Measure by hand", { id: "by-hand", why: cannotStart(), onclick: () => start({ procedure: "by_hand" }) }),
+      button("Measure one step", { id: "measure", class: busy && procedure.procedure === "by_hand" ? "main" : "", why: cannotMeasure(), onclick: () => command("measure", {}) })),
     ended && rig.load_frame ? make("p", { class: "care" }, "Before you go on with a run that was stopped: find out why, look at machine and specimen, and reset the machine at its own controls.") : null,
     latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
-    rig.operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
-    another,
-    procedure?.folder && !busy ? make("p", {}, make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, "Report of the last run"), ` in ${procedure.folder}, `,
-      make("a", { href: "/files/run/report.html", download: `${procedure.folder}.html` }, "save it as a file")) : null,
-  ].filter(Boolean);
+    operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
+  ];
+}
+
+function cannotMeasure() {
+  const rig = latest("rig") ?? {}, procedure = latest("procedure"), by_hand = isBusy(procedure) && procedure.procedure === "by_hand";
+  if (rig.operated && !by_hand) return "First start measuring by hand.";
+  if (rig.operated && procedure.step < 0) return `The nodes are not ready yet: ${procedure.activity || "they start"}.`;
+  if (!rig.measures) return "No experiment node runs.";
+  return notDriving();
+}
+
+// The choice of the programme, and what it will do as a table and as a curve.
+function programmeParts() {
+  const rig = latest("rig") ?? {};
+  const choice = (id, own, label) => make("label", {}, make("input", { type: "radio", name: "programme", id, checked: isOwn === own, onchange: () => choose(own) }), label);
+  const found = checked ?? { rows: [], words: "", problem: "" };
+  return [
+    make("fieldset", { class: "row" }, make("legend", {}, "Programme"), choice("of-file", false, `of ${rig.file ?? "the rig file"}`), choice("own", true, "written here")),
+    isOwn ? text : null,
+    found.problem && found.problem === rig.file_error ? null : found.problem ? make("p", { class: "bad", id: "problem", role: "status" }, found.problem)
+      : make("p", { class: "soft", id: "forecast", role: "status" }, checked ? found.words : "The programme is being checked."),
+    found.rows.length ? make("div", { class: "plan" }, planCurve(found.rows), make("details", { id: "plan" },
+      make("summary", {}, `Steps: ${found.count}`), make("div", { class: "scroll" }, make("table", {}, ...planRows(found))))) : null,
+  ];
+}
+
+function planRows({ rows, count }) {
+  const head = ["step", "target [mm]", "speed [mm/s]", "hold [s]"].map((name) => make("th", {}, name));
+  let measured = 0;
+  const lines = rows.map(({ position_mm, speed_mm_per_s, hold_s, mode, set_reference, until }) => {
+    const words = [mode === "none" ? "not measured" : mode, set_reference ? "new reference" : "", until ? "ends earlier by its condition" : ""];
+    const values = [position_mm, position_mm === null ? null : speed_mm_per_s, hold_s].map((value) => make("td", {}, number(value, 6)));
+    return make("tr", {}, make("td", {}, mode === "none" ? "–" : String(measured++)), ...values, make("td", { class: "words" }, words.filter(Boolean).join(", ")));
+  });
+  const more = count > rows.length ? [make("tr", {}, make("td", { class: "words", colspan: 5 }, `and ${count - rows.length} more`))] : [];
+  return [make("tr", {}, ...head, make("th", { class: "words" }, "measurement")), ...lines, ...more];
+}
+
+// Crosshead position over time; the time of the measurements is not in it.
+function planCurve(rows) {
+  if (!rows.some((row) => row.position_mm !== null)) return null;
+  let time = 0, position = 0;
+  const points = [[0, 0]];
+  for (const { position_mm, speed_mm_per_s, hold_s } of rows) {
+    if (position_mm !== null) {
+      time += Math.abs(position_mm - position) / speed_mm_per_s;
+      position = position_mm;
+      points.push([time, position]);
+    }
+    time += hold_s + STEPS_S;
+    points.push([time, position]);
+  }
+  return chart(points, { x: "time without measurements [s]", y: "crosshead [mm]", dots: false });
 }
 
 function elsewhere(rig) {
@@ -55,16 +144,29 @@ function elsewhere(rig) {
     : "No node of this rig runs: start it, for example with fringedic run or ros2 launch, or end this page and start it without --attach.";
 }
 
+// The tests that are kept beside the rig file, with their reports.
+function testParts() {
+  const tests = latest("tests") ?? [];
+  const report = (name) => `/files/${encodeURIComponent(`test ${name}`)}/report.html`;
+  return [
+    make("h2", {}, "Tests"),
+    tests.length ? null : make("p", { class: "soft" }, "No test has been measured with this rig file yet."),
+    make("ul", { class: "scroll" }, ...tests.map(({ name, when, report: has }) => make("li", { "data-key": name }, `${name}, ${new Date(1000 * when).toLocaleString()}`,
+      ...(has ? [" ", make("a", { href: report(name), target: "_blank", rel: "noopener" }, "report"), " ", make("a", { href: report(name), download: `${name}.html` }, "save")] : [" (no report)"])))),
+  ];
+}
+
 const STATES = { failed: "bad", measured: "good" };
 
+// The steps of the programme that runs, or ran last, or of the session by hand; a new list of steps is chosen above.
 function rows() {
-  const known = (latest("rig")?.programme ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
+  const known = (latest("rig")?.running ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
   const running = isBusy(procedure) && procedure.procedure === "run";
   const reports = procedure?.procedure === "run" ? procedure.reports : [];
   const head = make("tr", {}, ...["step", "target [mm]", "position [mm]", "force [N]", "measured [%]"].map((name) => make("th", {}, name)), make("th", { class: "words" }, "state"));
   // a programme with another number of steps is not the one whose targets are known: another page has started it
   const programme = reports.length > known.length || (running && procedure.steps && procedure.steps !== known.length) ? [] : known;
-  const count = Math.max(running ? procedure.steps : programme.length, reports.length);
+  const count = Math.max(running ? procedure.steps : 0, reports.length);
   if (procedure?.procedure === "by_hand" || !count) return [head, ...steps.map((step) => row(step.step, null, step, step.error || step.stage, false))];
   // reports come in the order of the programme; a move that failed has one without a number, which the next step gets
   const next = Math.max(0, running ? procedure.step : 0, ...reports.map(({ step }) => step + 1));
@@ -78,7 +180,7 @@ function rows() {
 const stage = ({ activity, frame, frames }) => (frames ? `${activity}, frame ${frame} of ${frames}` : activity);
 
 function row(name, target, done, words, now) {
-  const value = (found, factor) => number(found === undefined || found === null ? NaN : found * factor, 4);
+  const value = (found, factor) => number(scaled(found, factor), 4);
   return make("tr", { class: now ? "now" : "" }, make("td", {}, String(name)), make("td", {}, number(target ?? NaN, 4)),
     make("td", {}, value(done?.signals?.position, 1e3)), make("td", {}, value(done?.signals?.force, 1)), make("td", {}, value(done?.valid_fraction, 100)),
     make("td", { class: `words ${done?.error ? STATES.failed : done ? STATES.measured : ""}` }, words));
@@ -86,12 +188,13 @@ function row(name, target, done, words, now) {
 
 function factList() {
   const load = latest("load"), recorder = latest("recorder"), rig = latest("rig") ?? {}, step = latest("step");
+  const left = recorder?.minutes_left === null || recorder?.minutes_left === undefined ? "" : `, for ${duration(60 * recorder.minutes_left)}`;
   const entries = [
     ["machine", load ? load.mode : "not connected"],
-    ["signals", (latest("signals") ?? []).map(({ name, value, factor, unit }) => `${name} ${number(value / factor, 4)} ${unit}`).join(", ") || "none"],
+    ["signals", (latest("signals") ?? []).map(({ name, value, factor, unit }) => `${name} ${number(scaled(value, 1 / factor), 4)} ${unit}`).join(", ") || "none"],
     ["step", step ? `${step.step}: ${step.stage}${step.frames ? `, frame ${step.frame} of ${step.frames}` : ""}` : "none yet"],
     ["recorder", recorder ? `${recorder.state}, ${recorder.images} images, ${recorder.missing_images} lost${recorder.error ? `: ${recorder.error}` : ""}` : "not connected"],
-    ["disk", recorder?.free_gb ? `${recorder.free_gb} GB free${recorder.minutes_left === null ? "" : `, for ${recorder.minutes_left} minutes`}` : "–"],
+    ["disk", recorder?.free_gb ? `${recorder.free_gb} GB free${left}` : "–"],
     ["calibration", (rig.calibration ?? []).join(" ") || "–"],
   ];
   return entries.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);

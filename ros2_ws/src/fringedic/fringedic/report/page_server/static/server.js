@@ -1,25 +1,51 @@
 // Requests to the server; a refusal is shown as its sentence.
 
-export function say(text) {
+import { next } from "./stream.js";
+
+const ACKNOWLEDGED_MS = 250; // after which a command without an answer is said to be on its way
+const PASSING_MS = 4000;
+const CHANGED_MS = 1000; // longest time between the answer to a start and the message of its procedure
+let isRefusal = false, passing = 0;
+
+// Shows a sentence; one that `isPassing` vanishes by itself, a refusal when the procedure changes.
+export function say(text, { refusal = false, isPassing = false } = {}) {
   const place = document.getElementById("message");
   place.textContent = text;
   place.hidden = !text;
+  isRefusal = refusal;
+  clearTimeout(passing);
+  if (isPassing) passing = setTimeout(() => say(""), PASSING_MS);
 }
 
+// Another procedure, or another state of it: a refusal that was about the one before is no longer true.
+export function forgetRefusal() {
+  if (isRefusal) say("");
+}
+
+// Sends a command; returns the sentence of its answer, which is shown, or null when it is refused.
 export async function command(name, content = {}) {
+  const waiting = setTimeout(() => say("Sent; the rig has not answered yet."), ACKNOWLEDGED_MS);
   try {
-    const answer = await fetch(`/do/${name}`, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(content),
-    });
-    say((await sentence(answer)) ?? "");
-    return answer.ok;
+    const answer = await post(`/do/${name}`, content), text = (await sentence(answer)) ?? "";
+    clearTimeout(waiting);
+    say(text, { refusal: !answer.ok });
+    return answer.ok ? text : null;
   } catch {
+    clearTimeout(waiting);
     say("The server does not answer. The measurement goes on without this page; wait, or start fringedic again.");
-    return false;
+    return null;
   }
 }
+
+// Starts a procedure, and waits until the page shows it: a second press of a double click is none.
+export async function start(content) {
+  const answer = await command("start", content);
+  const topic = { live: "live", confirm: "setup" }[content.procedure] ?? "procedure";
+  if (answer !== null) await Promise.race([next(topic), new Promise((done) => setTimeout(done, CHANGED_MS))]);
+  return answer;
+}
+
+const post = (path, content) => fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
 
 async function sentence(answer) {
   const text = await answer.text();
@@ -69,6 +95,13 @@ export async function tile(step, name) {
 }
 
 export const cloud = async (step, name) => new Float32Array(await (await get(`/cloud/${step}/${name}`)).arrayBuffer());
+// What a programme would do, and why it may not be started.
+export async function checkProgramme(text) {
+  const answer = await post("/check", { text });
+  if (!answer.ok) throw new Error(await sentence(answer));
+  return answer.json();
+}
+
 export const palettes = async () => (await get("/palettes")).json();
 
 const ends = (from, to) => `from=${from.join(",")}&to=${to.join(",")}`;

@@ -1,9 +1,10 @@
 // The surface in 3D: points coloured by a map, with their displacement magnified. Drag to turn, wheel or +/- to zoom.
 
-import { make, options } from "./elements.js";
-import { usualRange } from "./map_canvas.js";
+import { draw, make, number, options, patch } from "./elements.js";
+import { colourBar, usualRange } from "./map_canvas.js";
+import { numberField } from "./numbers.js";
 import { cloud, newest, palettes, tried } from "./server.js";
-import { listen } from "./stream.js";
+import { latest, listen } from "./stream.js";
 
 const VERTEX = `
 attribute vec3 place, moved; attribute float value;
@@ -19,39 +20,52 @@ void main() {
 const FRAGMENT = `
 precision mediump float; uniform sampler2D palette; varying float colour;
 void main() { gl_FragColor = texture2D(palette, vec2((colour * 255.0 + 0.5) / 256.0, 0.5)); }`;
-const kept = { quantity: "w", magnified: 1, turn: 0.5, tilt: -0.5, zoom: 1.6 };
+const AXES = ["x", "y", "z"];
+const kept = { quantity: "w", step: null, follow: true, magnified: 1, turn: 0.5, tilt: -0.5, zoom: 1.6 };
 
 export function show(place) {
   const canvas = make("canvas", { class: "space", id: "space", tabindex: 0, role: "img", "aria-label": "Surface in 3D; arrow keys turn it, plus and minus zoom" });
-  const scene = new Scene(canvas);
-  const step = make("select", { id: "space-step", onchange: () => load() });
+  const axes = draw("svg", { class: "axes" }), bar = make("canvas", { width: 256, height: 1 }), low = make("span"), high = make("span");
+  const scene = new Scene(canvas, (lines) => patch(axes, ...lines));
+  const step = make("select", { id: "space-step", onchange: () => { kept.step = step.value; kept.follow = step.selectedIndex === step.length - 1; load(); } });
   const quantity = make("select", { id: "space-quantity", onchange: () => { kept.quantity = quantity.value; load(); } });
-  const magnified = make("input", { type: "number", min: 0, step: "any", value: kept.magnified, oninput: () => { kept.magnified = Number(magnified.value); scene.draw(); } });
-  const words = make("p", { class: "soft", role: "status" });
+  const magnified = numberField({ id: "magnified", min: 0, value: kept.magnified, changed: () => { kept.magnified = magnified.found() ?? 1; scene.draw(); } });
+  const words = make("p", { class: "soft", role: "status" }, scene.gl ? "No surface has been measured yet." : "This browser has no WebGL, which draws the surface.");
   place.replaceChildren(make("section", { class: "panel" }, make("div", { class: "row" }, make("label", {}, "Step", step),
-    make("label", {}, "Colour", quantity), make("label", {}, "Displacement times", magnified)), canvas, words));
+    make("label", {}, "Colour", quantity), make("label", {}, "Displacement times", magnified.input)),
+  make("div", { class: "picture" }, canvas, axes), make("div", { class: "bar", id: "space-bar" }, low, bar, high), words));
   const chosen = newest();
   const load = async () => {
     if (!step.value || !quantity.value) return;
-    const of = `${quantity.value} of step ${step.value}`;
+    const of = `${quantity.value} of step ${step.value}`, found = (latest("quantities") ?? []).find(({ name }) => name === quantity.value);
     const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;
     scene.take(points, colours.viridis);
+    [low.textContent, high.textContent] = scene.range.map((value) => `${number(value / found.factor)} ${found.unit}`);
+    colourBar(bar, colours.viridis);
     words.textContent = `${points.length / 7} points, coloured by ${of}; drag to turn, wheel to zoom`;
   };
   const watch = new ResizeObserver(() => scene.draw());
   watch.observe(canvas);
   const ends = [
     listen("quantities", (found) => { options(quantity, found.map(({ name }) => [name, name]), kept.quantity); load(); }),
-    listen("steps", (found) => { const mapped = found.filter((each) => each.mapped === 2); options(step, mapped.map((each) => [each.step, String(each.step)]), mapped.at(-1)?.step); load(); }),
+    listen("steps", (found) => {
+      const mapped = found.filter((each) => each.mapped === 2);
+      if (kept.follow) kept.step = mapped.at(-1)?.step ?? null;
+      options(step, mapped.map((each) => [each.step, String(each.step)]), kept.step);
+      load();
+    }),
     () => watch.disconnect(),
   ];
   return () => ends.forEach((end) => end());
 }
 
 class Scene {
-  constructor(canvas) {
+  // `drawn` is called with the elements of the axes after each change of the view.
+  constructor(canvas, drawn) {
     this.canvas = canvas;
+    this.drawn = drawn;
+    this.range = [NaN, NaN];
     this.gl = canvas.getContext("webgl", { preserveDrawingBuffer: true });
     if (!this.gl) return;
     this.program = link(this.gl);
@@ -79,6 +93,7 @@ class Scene {
     const along = (k) => points.filter((_, at) => at % 7 === k);
     const limits = [0, 1, 2].map((k) => { const values = along(k); return [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))]; });
     this.count = points.length / 7;
+    this.limits = limits;
     this.middle = limits.map(([low, high]) => (low + high) / 2);
     this.size = Math.max(...limits.map(([low, high]) => high - low));
     this.range = usualRange(along(6));
@@ -110,6 +125,26 @@ class Scene {
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.drawArrays(gl.POINTS, 0, this.count);
+    this.drawn(this.axes());
+  }
+
+  // Where a point [m] is on the canvas [CSS pixel], as in the vertex shader.
+  project(point) {
+    const [x, y, z] = point.map((value, k) => (value - this.middle[k]) / this.size), { turn, tilt, zoom } = kept;
+    const across = Math.cos(turn) * x + Math.sin(turn) * z, deep = Math.cos(turn) * z - Math.sin(turn) * x;
+    const up = Math.cos(tilt) * y - Math.sin(tilt) * deep, { clientWidth: width, clientHeight: height } = this.canvas;
+    return [((zoom * across * height) / width + 1) * 0.5 * width, (1 - zoom * up) * 0.5 * height];
+  }
+
+  // The three edges of the box around the points, from its lowest corner, with both ends in mm.
+  axes() {
+    const corner = this.limits.map(([low]) => low), [a, b] = this.project(corner);
+    return this.limits.flatMap(([low, high], k) => {
+      const [c, d] = this.project(corner.map((value, other) => (other === k ? high : value)));
+      const text = `${AXES[k]}: ${number(1e3 * low)} to ${number(1e3 * high)} mm`;
+      const line = (name) => draw("line", { class: name, x1: a, y1: b, x2: c, y2: d });
+      return [line("halo"), line("axis"), draw("text", { x: c, y: d, "text-anchor": "middle" }, text)];
+    });
   }
 }
 

@@ -13,6 +13,12 @@ export function listen(topic, callback) {
   return () => listeners.delete(entry);
 }
 
+// The next message of a topic.
+export const next = (topic) => new Promise((taken) => {
+  const entry = { topic, callback: (data) => { listeners.delete(entry); taken(data); } };
+  listeners.add(entry);
+});
+
 function publish(topic, data) {
   topics.set(topic, data);
   for (const entry of [...listeners]) if (entry.topic === topic) entry.callback(data);
