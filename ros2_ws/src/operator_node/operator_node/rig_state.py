@@ -86,7 +86,9 @@ class RigState:
                 for number in sorted(self._steps.keys() | mapped.keys())
             ]
             # a node that is gone sends nothing about it: its last state is not the present one
-            silent = {part: None for part, seen in self._seen.items() if now - seen > SILENT_S}
+            silent: dict[str, Any] = {part: None for part, seen in self._seen.items() if now - seen > SILENT_S}
+            if "signals" in silent:  # curves still need their names and units
+                silent["signals"] = [each | {"value": None} for each in self._parts["signals"]]
             return {**self._parts, **silent, "nodes": nodes, "steps": steps, "log": list(self._log)}
 
     @property
@@ -136,6 +138,7 @@ class RigState:
             described_signal(name, sample.channel.unit, sample.channel.source) | {"value": _rounded(sample.value, 4)}
             for name, sample in latest.items()
         ]
+        self._seen["signals"] = self._clock()
         self._set("signals", described)
 
     def take_recorder(self, message: Any) -> None:

@@ -158,11 +158,15 @@ def test_machine_and_recorder_of_nodes_that_are_gone_are_not_shown(
     state: RigState, clock: Clock, tmp_path: Path
 ) -> None:
     state.take_load(LoadState(mode=LoadState.HOLD))
+    collector = SignalCollector(longest=1)
+    collector.add("load_frame/state", LoadState(force=5.0))
+    state.take_signals(collector.latest)
     state.take_recorder(RecorderStatus(state=RecorderStatus.RECORDING, path=str(tmp_path)))
     clock.now += 4
     state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name="/rig/recorder", level=b"\0")]))
     clock.now += 4
     found = state.snapshot({})
     assert (found["load"], found["recorder"]["state"]) == (None, "recording"), "the recorder gives signs of life"
+    assert [(each["name"], each["value"]) for each in found["signals"]] == [("force", None), ("position", None)]
     clock.now += 4
     assert state.snapshot({})["recorder"] is None

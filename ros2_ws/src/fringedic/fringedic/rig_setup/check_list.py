@@ -143,24 +143,28 @@ class CheckList:
         """Return the list with a new result of an item."""
         return replace(self, records={**self.records, item: record})
 
-    def items(self, rig_file: Mapping[str, Any] | None = None) -> list[ListedItem]:
+    def items(
+        self, rig_file: Mapping[str, Any] | None = None, folder: str | os.PathLike[str] = "."
+    ) -> list[ListedItem]:
         """Return all items in their order.
 
         Parameters
         ----------
         rig_file
             Content of the rig file, which decides what is in use; without it every result counts as used.
+        folder
+            Folder of the rig file: files that it names are shown with their dates.
         """
-        return [self._item(item, rig_file) for item in SetupItem]
+        return [self._item(item, rig_file, Path(folder)) for item in SetupItem]
 
-    def _item(self, item: SetupItem, rig_file: Mapping[str, Any] | None) -> ListedItem:
+    def _item(self, item: SetupItem, rig_file: Mapping[str, Any] | None, folder: Path) -> ListedItem:
         record = self.records.get(item)
         settings = "" if record is None else record.settings or record.measured_with
         if rig_file is None or not settings:
             return ListedItem(item, record, self._superseding(item))
         wanted = _lines(load_yaml(settings))
         present = _lines(rig_file)
-        lines = tuple(f"{name}: {present.get(name, 'nothing')}" for name in wanted)
+        lines = tuple(f"{name}: {_dated(present.get(name, 'nothing'), folder)}" for name in wanted)
         is_in_use = all(present.get(name) == value for name, value in wanted.items())
         return ListedItem(item, record, self._superseding(item), lines, is_in_use)
 
@@ -198,6 +202,14 @@ class CheckList:
             return cls({SetupItem(key): SetupRecord.model_validate(value) for key, value in content.items()})
         except (OSError, UnicodeDecodeError, yaml.YAMLError, ValidationError, ValueError, AttributeError) as error:
             raise RigSetupError(f"{file}: is no check list of the set-up: correct or remove it") from error
+
+
+def _dated(value: Any, folder: Path) -> str:
+    """Return a value for people; a file with the time of its last change."""
+    file = folder / value if isinstance(value, str) else None
+    if file is None or not file.is_file():
+        return str(value)
+    return f"{value} of {datetime.fromtimestamp(file.stat().st_mtime):%Y-%m-%d %H:%M}"
 
 
 def _lines(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -108,3 +109,12 @@ def test_a_check_is_about_the_calibration_that_it_checked() -> None:
         item = {each.item: each for each in found.items({"calibration": file})}[SetupItem.CHECK]
         assert item.state is state
     assert next_sentence(item) == "Repeat it, because the rig file now has calibration: b.yaml."
+
+
+def test_a_file_in_use_is_shown_with_its_date(tmp_path: Path) -> None:
+    (tmp_path / "old.yaml").write_text("")
+    os.utime(tmp_path / "old.yaml", (START.timestamp(),) * 2)
+    found = CheckList().with_record(SetupItem.NOISE, SetupRecord(when=START, settings="noise_floor_file: new.yaml"))
+    item = {each.item: each for each in found.items({"noise_floor_file": "old.yaml"}, tmp_path)}[SetupItem.NOISE]
+    local = f"{START.astimezone():%Y-%m-%d %H:%M}"
+    assert item.present == (f"noise_floor_file: old.yaml of {local}",)

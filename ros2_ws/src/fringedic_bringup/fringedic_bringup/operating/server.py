@@ -251,7 +251,7 @@ class ProcedureServer:
 
     def _publish_setup(self) -> None:
         self._shown_time = self._rig_file_time()
-        items = [_item_message(each) for each in self._list.items(self._place.content())]
+        items = [_item_message(each) for each in self._list.items(self._place.content(), self._place.folder)]
         message = SetupState(rig_file=str(self._place.rig_path), items=items)
         message.header.stamp = to_msg(time.time_ns())
         self._setups.publish(message)
