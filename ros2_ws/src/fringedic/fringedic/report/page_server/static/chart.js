@@ -8,7 +8,7 @@ const WIDTH = 640, HEIGHT = 300, LEFT = 78, BOTTOM = 46, TOP = 12, RIGHT = 16;
 export function chart(points, { x, y, dots = true }) {
   const known = points.filter(([a, b]) => Number.isFinite(a) && Number.isFinite(b));
   if (!known.length) return make("p", { class: "soft" }, "There are no values yet.");
-  const band = ([a, b, s]) => [a, b - 2 * (s || 0), b + 2 * (s || 0)], spread = known.map(band);
+  const spread = known.map(([a, b, s]) => [a, b - 2 * (s || 0), b + 2 * (s || 0)]);
   const across = axis(spread.map((p) => p[0])), up = axis(spread.flatMap((p) => [p[1], p[2]]));
   const column = (value) => LEFT + ((value - across.low) / (across.high - across.low)) * (WIDTH - LEFT - RIGHT);
   const row = (value) => HEIGHT - BOTTOM - ((value - up.low) / (up.high - up.low)) * (HEIGHT - BOTTOM - TOP);
