@@ -18,8 +18,10 @@ from typer.testing import CliRunner
 from fringedic.audit import Result, audit_run, compare_bits
 from fringedic.audit import results as audit_results
 from fringedic.command.main import app
+from fringedic.command.outcome import RunReport
+from fringedic.command.run_results import sign_results
 from fringedic.datasets import process_bag
-from fringedic.evidence import begin_log, read_log
+from fringedic.evidence import begin_log, noted, read_log
 from fringedic.evidence.keys import PUBLIC, key_folder, laboratory_key, raw_public
 from fringedic.evidence.log import LOG
 from fringedic.recording import BagReader, BagWriter
@@ -149,6 +151,23 @@ def test_an_interrupted_run_says_so(run: Path) -> None:
     begin_log(run, "run", details=DETAILS | {"interrupted": True})
     [part] = [part for part in audit_run(run, recompute=False).parts if part.name == "end of the run"]
     assert (part.result, part.found) == (Result.NOTE, "interrupted by a person or a signal")
+
+
+def test_a_continued_run_has_one_entry_with_its_end_and_the_settings_of_its_results(run: Path) -> None:
+    """As `fringedic run --continue` does around the steps that it measures."""
+    with noted(run, "run continued"):
+        (run / "logs").mkdir()
+        (run / "logs" / "camera.log").write_text("continued")
+        process_bag(run / "bag", output=run / "results.nc", experiment="tiny", reference=0, overwrite=True)
+        report = RunReport("tiny", run, [], [], "results.nc", references=(0,), ended_early="a person stopped it")
+        assert not sign_results(report)
+    first, second = read_log(run).entries
+    assert (first.action, second.action) == ("run", "run continued")
+    assert {"logs/camera.log", "results.nc", "bag/bag_0.mcap"} <= second.files.keys()
+    parts = {part.name: part for part in audit_run(run).parts}
+    assert parts["end of the run"].found == "ended before its last step: a person stopped it"
+    for name in ("signature", "log", "files", "results results.nc"):
+        assert parts[name].result is Result.HOLDS, parts[name]
 
 
 def test_every_bit_of_a_map_and_every_attribute_is_compared() -> None:
