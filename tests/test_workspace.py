@@ -113,7 +113,6 @@ def test_every_field_of_a_message_states_its_unit() -> None:
 def test_library_declares_what_it_imports() -> None:
     names = {
         "cv2": "opencv-python-headless",
-        "foxglove": "foxglove-sdk",
         "PIL": "pillow",
         "pydantic_core": "pydantic",
         "pygame": "pygame-ce",
@@ -122,7 +121,7 @@ def test_library_declares_what_it_imports() -> None:
         "yaml": "pyyaml",
     }
     needed = {names.get(module, module) for module in imported_by(SOURCES / "fringedic" / "fringedic")} - {"fringedic"}
-    needed |= {"websockets", "s3fs"}  # uvicorn and fsspec load them
+    needed |= {"dask", "s3fs"}  # distributed and fsspec load them
     settings = ConfigParser()
     settings.read(SOURCES / "fringedic" / "setup.cfg")
     extras = settings["options.extras_require"]

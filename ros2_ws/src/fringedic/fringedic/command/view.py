@@ -44,7 +44,7 @@ def view(
     """Show a recording in a browser: maps with their uncertainty, profiles, extensometers, curves, 3D. Without ROS."""
     if foxglove:
         if (address, certificate, key) != (LOCAL, None, None):
-            raise ConfigurationError(f"--foxglove serves {LOCAL} only, because its protocol has no token")
+            raise ConfigurationError(f"--foxglove serves {LOCAL} only, because its connection is not encrypted")
         refuse_unused(context, {"sensor"}, "--foxglove shows the topics of all sensors; leave it out")
         view_with_foxglove(bag, port or FOXGLOVE_PORT)
     elif bag is None:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from served import free_port
 from viewer import WAIT_S, Viewer, viewing
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
 
 from fringedic.errors import OperatorError, RecordingError
+from fringedic.export import foxglove
 from fringedic.export.foxglove import RecordingPlayer, TopicServer
 from fringedic.recording import BagWriter, Topic
 
@@ -90,3 +98,97 @@ def test_a_port_in_use_and_a_missing_recording_are_named(tmp_path: Path) -> None
         server.close()
     with pytest.raises(RecordingError, match="no such recording"):
         RecordingPlayer(tmp_path / "nothing", port)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[TopicServer]:
+    """Return a server with a topic, for viewers that change nothing."""
+    server = TopicServer(0, "guarded")
+    server.offer("/force", "bench_msgs/msg/Value", "uint8 value")
+    yield server
+    server.close()
+
+
+def connected(server: TopicServer, origin: str | None = None, url: str | None = None) -> ClientConnection:
+    return connect(url or server.url, subprotocols=["foxglove.sdk.v1"], origin=origin)  # type: ignore[list-item, arg-type]
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "https://app.foxglove.dev.evil.example",
+        "http://localhost.evil.example",
+        "null",
+        "file:///x",
+    ],
+)
+def test_web_pages_of_others_are_refused_even_with_the_token(server: TopicServer, origin: str) -> None:
+    with pytest.raises(InvalidStatus, match="403") as refused:
+        connected(server, origin)
+    assert refused.value.response.body == b"Web pages other than Foxglove's are refused.\n"
+
+
+@pytest.mark.parametrize(
+    "origin", [None, "https://app.foxglove.dev", "https://studio.foxglove.dev", "file://", "http://localhost:8080"]
+)
+def test_foxglove_and_pages_of_this_computer_are_served(server: TopicServer, origin: str | None) -> None:
+    with connected(server, origin) as viewer:
+        assert json.loads(viewer.recv(WAIT_S))["op"] == "serverInfo"
+        assert json.loads(viewer.recv(WAIT_S))["channels"][0]["topic"] == "/force"
+
+
+@pytest.mark.parametrize("query", ["", "?token=", "?token=wrong", "?token=%C3%A9"])
+def test_other_users_of_the_computer_have_no_token(server: TopicServer, query: str) -> None:
+    with pytest.raises(InvalidStatus, match="403"):
+        connected(server, url=f"{server.url.partition('?')[0]}{query}")
+
+
+def test_what_is_not_of_the_protocol_is_answered_by_a_sentence(
+    server: TopicServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    with connected(server) as viewer:
+        viewer.recv(WAIT_S), viewer.recv(WAIT_S)
+        wrong = [{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 7}]}, {"op": "unsubscribe"}, [], 1]
+        nan = struct.pack("<BBfBQI", 3, 0, float("nan"), 0, 0, 0)
+        for message in (*map(json.dumps, wrong), "{", "[" * 100_000, b"\x03", nan):
+            viewer.send(message)
+            assert json.loads(viewer.recv(WAIT_S))["message"] == "The message is not of the protocol."
+        viewer.socket.sendall(b"\x81\x82" + bytes(4) + b"\xff\xfe")  # a text that is no UTF-8
+        with pytest.raises(ConnectionClosed) as closed:
+            viewer.recv(WAIT_S)
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 1007
+    assert not caplog.records
+
+
+def test_a_silent_connection_is_ended(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr(foxglove, "SILENT_S", 0.2)
+    server = TopicServer(0, "impatient")
+    try:
+        place = urlsplit(server.url)
+        with socket.create_connection((place.hostname, place.port), timeout=WAIT_S) as silent:
+            assert silent.recv(1) == b""
+    finally:
+        server.close()
+    assert not caplog.records
+
+
+def test_a_slow_viewer_misses_messages_and_no_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foxglove, "BACKLOG", 10)
+    viewer, sent = foxglove.Viewer(), []
+    viewer.say({"op": "status"})
+    for number in range(5):
+        viewer.put(b"\x01" + bytes([number]))
+    viewer.put(b"\x05state")
+
+    class Connection:
+        async def send(self, payload: bytes | str) -> None:
+            sent.append(payload)
+
+    async def receive() -> None:
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(viewer.send_all(Connection()), 0.1)
+
+    asyncio.run(receive())
+    assert sent == ['{"op": "status"}', b"\x05state"]

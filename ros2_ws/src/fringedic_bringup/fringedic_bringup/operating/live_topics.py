@@ -36,7 +36,7 @@ class LiveTopics:
     Raises
     ------
     FringedicError
-        foxglove-sdk is not installed, or the port is in use.
+        websockets is not installed, or the port is in use.
     """
 
     def __init__(self, port: int, *, domain: int | None = None) -> None:

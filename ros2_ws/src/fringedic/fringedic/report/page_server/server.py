@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import math
 import socket
 import threading
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol, h11  # type: ignore[attr-defined]
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.protocol import State
 
@@ -23,6 +25,14 @@ from fringedic.wording.causes import cause_of
 
 LONGEST_MESSAGE = 4096  # [byte] of a browser on the stream: it has nothing to say there
 ENDING_S = 2.0
+SILENT_S = 10.0  # until a connection has sent its request; it needs no token to be open
+MOST_SILENT = 50  # connections that may wait so at the same time
+_ENDED = """HTTP/1.1 408 Request Timeout\r
+Connection: close\r
+Content-Type: text/plain\r
+\r
+The connection was ended, because it sent no complete request.
+"""
 
 
 @dataclass(frozen=True)
@@ -86,14 +96,62 @@ def listen(host: str, port: int) -> socket.socket:
 class _Connection(WebSocketsSansIOProtocol):
     """A connection that the browser has closed, and that still has something to send, is cut at the end of the server.
 
-    The protocol of uvicorn 0.54 closes it again, which is an error that ends the thread of the server.
+    The protocol of uvicorn 0.54 closes it again, which is an error that ends the thread of the server. A browser has
+    nothing to say on the stream: a text is not decoded, and one that is no UTF-8 writes no traceback.
     """
+
+    handle_text = WebSocketsSansIOProtocol.handle_bytes
 
     def shutdown(self) -> None:
         if self.conn.state is State.CLOSING:
             self.transport.abort()
         else:
             super().shutdown()
+
+
+class _Requests(H11Protocol):
+    """A connection that sends no complete request in time is ended; the longest silent one, when there are too many."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._await_request()
+        silent = [each for each in self.connections if isinstance(each, _Requests) and each.is_awaited]
+        if len(silent) > MOST_SILENT:
+            min(silent, key=_Requests.ends_at).end()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        is_incomplete = bool(self.conn.trailing_data[0]) or self.cycle is None
+        if self.conn.their_state is not h11.IDLE or not is_incomplete:
+            self._forget_deadline()
+        elif self._deadline is None:
+            self._await_request()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._forget_deadline()
+        super().connection_lost(exc)
+
+    def _await_request(self) -> None:
+        self._deadline = self.loop.call_later(SILENT_S, self.end)
+
+    def _forget_deadline(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    @property
+    def is_awaited(self) -> bool:
+        return self._deadline is not None
+
+    def ends_at(self) -> float:
+        return self._deadline.when() if self._deadline is not None else math.inf
+
+    def end(self) -> None:
+        self._forget_deadline()
+        self.transport.write(_ENDED.encode())
+        self.transport.close()
 
 
 class PageServer:
@@ -124,6 +182,7 @@ class PageServer:
         )
         config = uvicorn.Config(
             app,
+            http=_Requests,
             ws=_Connection,
             ws_max_size=LONGEST_MESSAGE,
             ws_per_message_deflate=False,

@@ -10,6 +10,7 @@ import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from fringedic.errors import OperatorError
+from fringedic.report.page_server import server as page_server
 from fringedic.report.page_server.app import LARGEST_BODY
 from fringedic.report.page_server.server import Address, PageServer, listen
 
@@ -241,6 +243,47 @@ def test_stuck_client_does_not_delay_another_nor_fill_the_memory(site: Site, coo
                 pass
             assert int.from_bytes(received[-4:], "little") == number
     assert len(made) == 100
+
+
+def test_silent_connections_without_a_token_are_ended(
+    site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Some send nothing, others never end their request, also after one that was complete."""
+    monkeypatch.setattr(page_server, "SILENT_S", 1.0)
+    with ExitStack() as open_ones:
+        silent = []
+        for number in range(200):
+            connection = socket.create_connection(("127.0.0.1", site.port), timeout=10)
+            silent.append(open_ones.enter_context(connection))
+            if number % 2:
+                connection.sendall(b"GET / HTTP/1.1\r\nHost: slow\r\n")
+        refused = socket.create_connection(("127.0.0.1", site.port), timeout=10)
+        open_ones.enter_context(refused)
+        refused.sendall(b"GET / HTTP/1.1\r\nHost: slow\r\n\r\n")
+        assert b"HTTP/1.1 403" in refused.recv(4096)
+        refused.sendall(b"GET / HTTP/1.1\r\n")
+        assert site.login(), "the others are served meanwhile"
+        for connection in silent[::2]:
+            assert b"408 Request Timeout" in received(connection)
+        for connection in silent[1::2]:
+            with suppress(ConnectionResetError):  # where it was ended before it had sent its part
+                assert b"408 Request Timeout" in received(connection)
+        assert b"408 Request Timeout" in received(refused)
+    assert not caplog.records
+
+
+def received(connection: socket.socket) -> bytes:
+    """Return everything until the end of a connection."""
+    return b"".join(iter(lambda: connection.recv(4096), b""))
+
+
+def test_a_text_that_is_no_text_has_no_effect(site: Site, cookie: str, caplog: pytest.LogCaptureFixture) -> None:
+    with site.stream(cookie) as stream:
+        stream.socket.sendall(b"\x81\x82" + bytes(4) + b"\xff\xfe")
+        site.rig.state = {"rig": {"kind": "rig", "force": 2.5}}
+        while json.loads(stream.recv(5))["data"].get("force") != 2.5:
+            pass
+    assert not caplog.records
 
 
 def stuck(site: Site, cookie: str) -> socket.socket:
