@@ -29,7 +29,6 @@ from fringedic.campaign import (
     ONE_THREAD,
     Campaign,
     CampaignStore,
-    Dask,
     Failure,
     Plan,
     Processes,
@@ -96,12 +95,12 @@ def empty(campaign: Campaign) -> Plan:
 
 
 def seconds_with(campaign: Campaign, workers: int) -> tuple[float, float]:
-    """Time and processor time for one recording with a Dask cluster whose workers have loaded the library."""
+    """Time and processor time for one recording with worker processes that have loaded the library."""
     plan = empty(campaign)
     started = busy = ended = 0.0
     names = set()
     done = first = 0
-    for outcome in Dask(workers).outcomes(plan.units):
+    for outcome in Processes(workers).outcomes(plan.units):
         assert isinstance(outcome, Receipt), outcome
         done += 1
         names.add(outcome.worker)
@@ -161,7 +160,7 @@ def equal_figures(folder: Path, recording: Path, count: int = 8) -> dict[str, fl
     """Digests of the groups by every engine: they contain the SHA-256 of every chunk."""
     campaign = campaign_of(folder / "equal", count, recording)
     found = {}
-    engines = {"serial": Serial(), "processes": Processes(2), **{f"dask {n}": Dask(n) for n in (1, 2, 3)}}
+    engines = {"serial": Serial(), **{f"processes {n}": Processes(n) for n in (1, 2, 3)}}
     for name, engine in engines.items():
         found[name] = digests(engine.outcomes(empty(campaign).units))
     status = status_of(CampaignStore(campaign.store), empty(campaign))
@@ -186,7 +185,7 @@ def resume_figures(folder: Path, count: int) -> dict[str, float]:
     plan = update_plan(campaign)
     planned = time.perf_counter() - start
     store = CampaignStore(campaign.store)
-    example = next(iter(Dask(1).outcomes(plan.units[:1])))
+    example = next(iter(Processes(1).outcomes(plan.units[:1])))
     assert isinstance(example, Receipt), example
     for unit in plan.units:
         receipt = replace(example, name=unit.name, key=unit.key)
@@ -244,7 +243,7 @@ def killed(folder: Path, count: int, kills: int, seed: int) -> dict[str, float]:
     campaign = campaign_of(folder / "killed", count)
     plan = empty(campaign)
     store = CampaignStore(campaign.store)
-    expected = next(iter(Dask(1).outcomes(plan.units[:1])))
+    expected = next(iter(Processes(1).outcomes(plan.units[:1])))
     assert isinstance(expected, Receipt), expected
     generator, done = random.Random(seed), {expected.name: expected}
     performed = 0

@@ -17,11 +17,6 @@ if [ -d "$_fringedic_site/rclpy" ]; then
     AMENT_PREFIX_PATH=$_fringedic_install:$_fringedic_venv
     CMAKE_PREFIX_PATH=$AMENT_PREFIX_PATH
     LD_LIBRARY_PATH=$_fringedic_install/lib:$_fringedic_venv/lib$(find "$_fringedic_site" -maxdepth 1 -name 'ros_*.libs' -printf ':%p')
-    case :${LD_PRELOAD:-}: in
-    *:$_fringedic_venv/lib/unlimited_wait.so:*) ;;
-    *) [ ! -f "$_fringedic_venv/lib/unlimited_wait.so" ] ||
-        export LD_PRELOAD=$_fringedic_venv/lib/unlimited_wait.so${LD_PRELOAD:+:$LD_PRELOAD} ;;
-    esac
     export ROS_DISTRO=$_fringedic_distribution # recordings state it
     export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 # the paths are set: Python need not start a second time to set them
 else
@@ -29,8 +24,15 @@ else
     CMAKE_PREFIX_PATH=$_fringedic_install${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}
     LD_LIBRARY_PATH=$_fringedic_install/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 fi
+# libraries that correct the middleware; they are loaded before the C library
+for _fringedic_library in "$_fringedic_venv/lib/unlimited_wait.so" "$_fringedic_venv/lib/private_memory.so"; do
+    case :${LD_PRELOAD:-}: in
+    *:$_fringedic_library:*) ;;
+    *) [ ! -f "$_fringedic_library" ] || export LD_PRELOAD=$_fringedic_library${LD_PRELOAD:+:$LD_PRELOAD} ;;
+    esac
+done
 PATH=$_fringedic_venv/bin:$_fringedic_install/bin:$PATH
 export PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH
 unset PYTHONDONTWRITEBYTECODE # containers set it; each node would compile all libraries again at every start
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
-unset _fringedic_root _fringedic_venv _fringedic_install _fringedic_site _fringedic_distribution
+unset _fringedic_library _fringedic_root _fringedic_venv _fringedic_install _fringedic_site _fringedic_distribution

@@ -201,6 +201,12 @@ if [ -z "${venv_options[*]}" ] && ! current waits "$waits"; then
     done_for waits "$waits"
 fi
 
+memory=$(sha256sum <setup/private_memory.c)
+if ! current memory "$memory"; then
+    run "memory of the middleware" gcc -shared -fPIC -O2 -o "$venv/lib/private_memory.so" setup/private_memory.c -ldl
+    done_for memory "$memory"
+fi
+
 [ -n "${venv_options[*]}" ] || unset ROS_DISTRO # of the distribution that this environment had before
 # shellcheck source=/dev/null
 . "$root/setup/environment.sh"

@@ -13,7 +13,7 @@ SHARED_MEMORY = Path("/dev/shm")
 _PORT_BASE = 7400
 _DOMAIN_GAIN = 250
 _PARTICIPANT_GAIN = 2
-_USER_UNICAST = 11
+_META_UNICAST, _USER_UNICAST = 10, 11
 
 
 def choose_participant_number(domain: int) -> int:
@@ -35,8 +35,19 @@ def choose_participant_number(domain: int) -> int:
 
 def port_exists(domain: int, number: int) -> bool:
     """Return whether a process has the port for user data of a number, or left its memory or the lock of its reader."""
+    memory = memory_of_port(domain, number)
+    return any(memory.with_name(memory.name + lock).exists() for lock in ("", "_el"))
+
+
+def memory_of_port(domain: int, number: int) -> Path:
+    """Return the shared memory of the port for user data of a number."""
     port = _PORT_BASE + _DOMAIN_GAIN * domain + _PARTICIPANT_GAIN * number + _USER_UNICAST
-    return any((SHARED_MEMORY / f"fastrtps_port{port}{lock}").exists() for lock in ("", "_el"))
+    return SHARED_MEMORY / f"fastrtps_port{port}"
+
+
+def number_of_port(port: int) -> int:
+    """Return the number of the participant with a UDP port; negative for the ports of all participants."""
+    return ((port - _PORT_BASE) % _DOMAIN_GAIN - _META_UNICAST) // _PARTICIPANT_GAIN
 
 
 def domain_of_port(port: int) -> int:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import psutil
 import pytest
 from rclpy.node import Node
 from std_msgs.msg import Int64
@@ -120,3 +121,31 @@ def test_a_number_is_chosen_whose_port_does_not_exist(domain: int, monkeypatch: 
             with suppress(FileNotFoundError):
                 path.unlink()
     assert not port_exists(domain, left.index(made[7]))
+
+
+SENDING = 32768  # first port that Linux assigns by itself; Fast DDS sends from such ones
+OPEN_ALL = """
+import os, sys
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
+for path in sys.argv[1:]:
+    for flags in (os.O_RDONLY, os.O_RDWR):
+        try:
+            os.open(path, flags)
+        except PermissionError:
+            continue
+        print(path)
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+@pytest.mark.usefixtures("counting")
+def test_another_user_cannot_open_the_memory_of_a_node(tmp_path: Path) -> None:
+    with reader(tmp_path / "log") as process:
+        assert receives(tmp_path / "log")
+        maps = Path(f"/proc/{process.pid}/maps").read_text()
+        used = sorted(set(re.findall(r"/dev/shm/fastrtps_\w+", maps)))
+        assert len(used) >= 3, "its memory, that of its ports, and that of the publisher"
+        receiving = [each.laddr for each in psutil.Process(process.pid).net_connections() if each.laddr.port < SENDING]
+        opened = subprocess.run([sys.executable, "-c", OPEN_ALL, *used], stdout=subprocess.PIPE, text=True, check=True)
+    assert {address.ip for address in receiving} == {"127.0.0.1"}
+    assert not opened.stdout, "setup/environment.sh loads private_memory.so"

@@ -13,6 +13,7 @@ from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, 
 from fringedic.settings.load_frame import LoadFrameNodeSettings
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
+from fringedic_ros.other_users import OtherUsers
 from load_frame_node.crosshead import FAULT, REPEAT_S, Crosshead, reason_not_to_move
 from load_frame_node.machines import LoadMode, Sample
 
@@ -42,6 +43,7 @@ class MoveServer:
         self._node = node
         self._crosshead = crosshead
         self._goal: ServerGoalHandle | None = None
+        self._others = OtherUsers(node)
         self._waiting: set[str] = set()  # controllers that were refused during the present move
         self._stopped: dict[str, tuple[float, str]] = {}  # those that waited for a move that was stopped: when, and how
         ActionServer(
@@ -60,6 +62,8 @@ class MoveServer:
         request, crosshead = goal.request, self._crosshead
         if not self._node.active:
             return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
+        if reason := self._others.reason_to_refuse:
+            return self._end(goal, Result.MACHINE_FAULT, f"no move was sent: {reason}")
         if self._goal is not None:
             self._waiting.add(request.controller)
             return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import signal
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -40,12 +39,6 @@ _KEPT_MEMORY = {
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
 }
-# Of short recordings, looking at its own workers costs Dask a tenth of the processor time.
-_UNWATCHED = {
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "2s",
-}
 _ATTEMPTS = 3  # at a unit whose worker dies
 
 
@@ -73,7 +66,7 @@ class Serial:
 
 
 class Processes:
-    """Processes units in worker processes of this computer, each with one thread.
+    """Processes units in worker processes of this computer, each with one thread, by pipes: no port is opened.
 
     Parameters
     ----------
@@ -92,22 +85,33 @@ class Processes:
         deaths: Counter[str] = Counter()
         while waiting:
             lost: list[Unit] = []
-            yield from self._with_one_pool(waiting, lost)
+            yield from self._with_one_pool(self._workers, waiting, lost)
             deaths.update(unit.name for unit in lost)
             for unit in lost:
-                if deaths[unit.name] < _ATTEMPTS:
-                    waiting.append(unit)
+                if not unit.growing:
+                    yield from self._alone(unit)
+                elif deaths[unit.name] < _ATTEMPTS:
+                    waiting.append(unit)  # alone it would keep the others waiting until its recording ends
                 else:
                     yield _died(unit)
 
-    def _with_one_pool(self, waiting: list[Unit], lost: list[Unit]) -> Iterator[Outcome]:
+    def _alone(self, unit: Unit) -> Iterator[Outcome]:
+        """Try a lost unit again: the death of the process of another unit is not counted."""
+        for _ in range(_ATTEMPTS - 1):
+            lost: list[Unit] = []
+            yield from self._with_one_pool(1, [unit], lost)
+            if not lost:
+                return
+        yield _died(unit)
+
+    def _with_one_pool(self, workers: int, waiting: list[Unit], lost: list[Unit]) -> Iterator[Outcome]:
         """Process units until none is waiting, or until a process dies: its unit and its neighbours are then lost."""
         with _environment(ONE_THREAD | _KEPT_MEMORY):
-            pool = ProcessPoolExecutor(self._workers, multiprocessing.get_context("spawn"))
+            pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _end_with_parent)
             with pool, _killed_when_interrupted():
                 running: dict[Future[Outcome], Unit] = {}
                 while (waiting or running) and not lost:
-                    while waiting and len(running) < self._workers:
+                    while waiting and len(running) < workers:
                         unit = waiting.pop(0)
                         try:
                             running[pool.submit(attempt, unit)] = unit
@@ -124,30 +128,22 @@ class Processes:
 
 
 class Dask:
-    """Processes units on a Dask cluster: one of this computer, or any other by the address of its scheduler.
+    """Processes units on the workers of a Dask cluster.
+
+    Whoever reaches its scheduler runs programs as its user, unless it requires certificates (``tls://``).
 
     Parameters
     ----------
-    workers
-        Number of worker processes of this computer.
     scheduler
-        Address of another cluster, ``tcp://...`` or ``tls://...``; its workers need the software of the plan, and
+        Address of the cluster, ``tls://...`` or ``tcp://...``; its workers need the software of the plan, and
         `ONE_THREAD` in their environment.
-    announce
-        Called with the address of the scheduler's web page when the workers are there.
     """
 
-    def __init__(
-        self, workers: int, scheduler: str | None = None, announce: Callable[[str], None] = lambda _: None
-    ) -> None:
+    def __init__(self, scheduler: str) -> None:
         with optional_import("campaign"):
-            import dask
             import distributed
-        self._dask: Any = dask
         self._distributed: Any = distributed
-        self._workers = workers
         self._scheduler = scheduler
-        self._announce = announce
 
     def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
         """See `Engine`; a unit whose worker dies is tried again, three times altogether."""
@@ -162,7 +158,6 @@ class Dask:
             limit = min(
                 (float(worker["memory_limit"]) for worker in workers if worker["memory_limit"]), default=float("inf")
             )
-            self._announce(client.dashboard_link)
             yield from (_too_large(unit, limit) for unit in units if unit.memory > limit)
             futures = {
                 client.submit(attempt, unit, key=f"{unit.name}-{unit.key[:16]}", pure=False): unit
@@ -178,51 +173,36 @@ class Dask:
                     continue
                 cause = future.exception() if future.status == "error" else None
                 if not isinstance(cause, self._distributed.KilledWorker):
-                    place = self._scheduler or "this computer"
                     reason = f" ({type(cause).__name__})" if cause is not None else ""
                     raise CampaignError(
-                        f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which "
-                        "continues with what is not committed"
+                        f"the connection to the Dask scheduler of {self._scheduler} is lost{reason}: repeat the "
+                        "command, which continues with what is not committed"
                     )
                 yield _died(unit)
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
-        if self._scheduler is not None:
+        try:
+            client = self._distributed.Client(self._scheduler, timeout="5s")
+        except OSError as error:
+            raise CampaignError(
+                f"the Dask scheduler {self._scheduler} does not answer: start it with 'dask scheduler', or leave "
+                "--scheduler out"
+            ) from error
+        except (TypeError, ValueError) as error:  # of an address that is none, or of TLS without files
+            raise CampaignError(
+                f"the Dask scheduler {self._scheduler} cannot be reached: {str(error)[:200]}; write "
+                "tcp://computer:port, or tls://computer:port with the files of distributed.comm.tls in the "
+                "settings of Dask"
+            ) from error
+        with self._distributed.utils.silence_logging_cmgr(logging.CRITICAL):  # `outcomes` says it in a sentence
             try:
-                client = self._distributed.Client(self._scheduler, timeout="5s")
-            except OSError as error:
-                raise CampaignError(
-                    f"the Dask scheduler {self._scheduler} does not answer: start it with 'dask scheduler', or leave "
-                    "--scheduler out"
-                ) from error
-            except (TypeError, ValueError) as error:  # of an address that is none, or of TLS without files
-                raise CampaignError(
-                    f"the Dask scheduler {self._scheduler} cannot be reached: {str(error)[:200]}; write "
-                    "tcp://computer:port, or tls://computer:port with the files of distributed.comm.tls in the "
-                    "settings of Dask"
-                ) from error
-            with self._distributed.utils.silence_logging_cmgr(logging.CRITICAL):  # `_lost` says it in a sentence
-                try:
-                    yield client
-                finally:
-                    try:
-                        client.close()
-                    except Exception:  # of a lost connection over TLS: not only OSError
-                        client.status = "closed"  # or it tries again for 10 s when the process ends
-            return
-        # to the end: a worker that has died is started again
-        with _environment(ONE_THREAD | _KEPT_MEMORY), self._dask.config.set(_UNWATCHED):
-            with _interrupts_ignored():
-                cluster = self._distributed.LocalCluster(
-                    n_workers=self._workers,
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,  # what concerns a unit is in its outcome
-                )
-            with cluster, self._distributed.Client(cluster) as client:
                 yield client
+            finally:
+                try:
+                    client.close()
+                except Exception:  # of a lost connection over TLS: not only OSError
+                    client.status = "closed"  # or it tries again for 10 s when the process ends
 
 
 def _too_large(unit: Unit, limit: float) -> Failure:
@@ -256,22 +236,21 @@ def _killed_when_interrupted() -> Iterator[None]:
         raise
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Let the processes that are started meanwhile ignore Ctrl-C: this process ends them in order."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _end_with_parent() -> None:
+    """End this process when the one that started it ends for any reason: it would wait for units for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "called in worker processes"
+
+    def wait_for_the_end() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_the_end, name="parent", daemon=True).start()
 
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for the processes that are started meanwhile, and take back those that Dask sets, too.
+    """Set environment variables for the processes that are started meanwhile.
 
     Numba refuses to compile in a process whose NUMBA_NUM_THREADS is another one than at its start.
     """

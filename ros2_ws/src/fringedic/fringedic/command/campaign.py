@@ -44,10 +44,10 @@ class EngineName(StrEnum):
 
 EngineChoice = Annotated[
     EngineName | None,
-    typer.Option("--engine", help="By default dask with several workers or a scheduler, otherwise serial."),
+    typer.Option("--engine", help="By default dask with a scheduler, processes with several workers, or serial."),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Worker processes of this computer.")]
-Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of another Dask cluster: tcp://computer:8786.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask cluster: tls://computer:8786.")]
 Shard = Annotated[str, typer.Option(metavar="I/N", help="Only the I-th of N parts, for arrays of jobs.")]
 
 
@@ -202,18 +202,20 @@ def _end(found: Status) -> None:
 def _engine(name: EngineName | None, workers: int, scheduler: str | None) -> Engine:
     from fringedic.campaign import Dask, Processes, Serial
 
-    chosen = name or (EngineName.DASK if workers > 1 or scheduler else EngineName.SERIAL)
-    if scheduler and chosen is not EngineName.DASK:
-        raise ConfigurationError(f"--scheduler belongs to the engine dask, not to {chosen}; leave one of them out")
-    if chosen is EngineName.SERIAL:
-        if workers > 1:
-            raise ConfigurationError("the engine serial has one worker; leave --workers out or choose another engine")
-        return Serial()
-    return Processes(workers) if chosen is EngineName.PROCESSES else Dask(workers, scheduler, _announce)
-
-
-def _announce(dashboard: str) -> None:
-    say(f"dashboard: {dashboard}")
+    if scheduler:
+        if name not in (None, EngineName.DASK):
+            raise ConfigurationError(f"--scheduler belongs to the engine dask, not to {name}; leave one of them out")
+        if not scheduler.startswith("tls://"):
+            say(f"warning: whoever reaches {scheduler} can run programs as its user; tls:// requires a certificate")
+        return Dask(scheduler)
+    if name is EngineName.DASK:
+        raise ConfigurationError("the engine dask needs the --scheduler of a cluster; use processes on this computer")
+    chosen = name or (EngineName.PROCESSES if workers > 1 else EngineName.SERIAL)
+    if chosen is EngineName.PROCESSES:
+        return Processes(workers)
+    if workers > 1:
+        raise ConfigurationError("the engine serial has one worker; leave --workers out or choose another engine")
+    return Serial()
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -40,6 +40,8 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     assert "plate-2: bag_0.mcap has no index" in said
     with pytest.raises(CampaignError, match=r"--shard 3/2: write I/N"):
         command("run", str(folder), "--shard", "3/2")
+    with pytest.raises(ConfigurationError, match="engine dask needs the --scheduler of a cluster; use processes"):
+        command("run", str(folder), "--engine", "dask", "--workers", "2")
     code, said = command("run", str(folder))
     assert code == 1
     assert "1 of 1: plate-1: 3 steps" in said

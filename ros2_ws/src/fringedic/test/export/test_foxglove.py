@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import psutil
 import pytest
 from served import free_port
 from viewer import WAIT_S, Viewer, viewing
@@ -136,6 +137,12 @@ def test_foxglove_and_pages_of_this_computer_are_served(server: TopicServer, ori
     with connected(server, origin) as viewer:
         assert json.loads(viewer.recv(WAIT_S))["op"] == "serverInfo"
         assert json.loads(viewer.recv(WAIT_S))["channels"][0]["topic"] == "/force"
+
+
+def test_other_computers_do_not_reach_the_port(server: TopicServer) -> None:
+    port = urlsplit(server.url).port
+    listening = [each.laddr for each in psutil.Process().net_connections() if each.status == psutil.CONN_LISTEN]
+    assert [place.ip for place in listening if place.port == port] == ["127.0.0.1"]
 
 
 @pytest.mark.parametrize("query", ["", "?token=", "?token=wrong", "?token=%C3%A9"])

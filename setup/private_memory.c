@@ -1,0 +1,28 @@
+// The shared memory of Fast DDS belongs to its user alone.
+//
+// Images, results and commands of the nodes pass through /dev/shm. Boost.Interprocess gives each of these files the mode
+// 0644 by fchmod, whatever the umask is, and Fast DDS has no setting for it: every user of the computer could read what the
+// camera sees. setup/environment.sh loads this before the C library.
+
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#define OF_THE_MIDDLEWARE "/dev/shm/fastrtps_"
+
+int fchmod(int file, mode_t mode)
+{
+    static int (*of_the_c_library)(int, mode_t); // every thread finds the same
+    char link[32], name[sizeof OF_THE_MIDDLEWARE];
+
+    if (!of_the_c_library)
+        of_the_c_library = (int (*)(int, mode_t))dlsym(RTLD_NEXT, "fchmod");
+    snprintf(link, sizeof link, "/proc/self/fd/%d", file);
+    ssize_t length = readlink(link, name, sizeof name - 1);
+    if (length == sizeof name - 1 && !memcmp(name, OF_THE_MIDDLEWARE, length))
+        mode &= S_IRUSR | S_IWUSR;
+    return of_the_c_library(file, mode);
+}
