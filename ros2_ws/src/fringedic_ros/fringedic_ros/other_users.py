@@ -18,6 +18,7 @@ from rclpy.node import Node
 from fringedic_ros.participant_number import domain_of_port, memory_of_port, number_of_port
 
 TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+LOCKS = Path("/proc/locks")
 REMEMBERED_S = 30.0  # a command may arrive after its sender has ended
 _PERIOD_S = 0.5
 _ROOT = 0  # may do everything anyway
@@ -65,7 +66,7 @@ def participants_of_others(domain: int) -> set[tuple[int, int]]:
         each for each in ports if number_of_port(each[1]) >= 0
     }  # the others belong to all participants of the domain
     users = {user for user, _ in own}
-    avoiding = {(user, port) for user, port in own if _owner(memory_of_port(domain, number_of_port(port))) != user}
+    avoiding = {(user, port) for user, port in own if not _has_memory(user, domain, port)}
     return avoiding | {(user, port) for user, port in ports - own if user not in users}
 
 
@@ -78,10 +79,18 @@ def _ports_of_others() -> Iterator[tuple[int, int]]:
                     yield user, int(fields[1].rpartition(":")[2], 16)
 
 
-def _owner(path: Path) -> int | None:
-    with suppress(OSError):
-        return path.stat().st_uid
-    return None
+def _has_memory(user: int, domain: int, port: int) -> bool:
+    """Return whether a participant receives in shared memory: while it runs, it locks a file that belongs to its user.
+
+    Programs that were killed leave such files without a lock.
+    """
+    memory = memory_of_port(domain, number_of_port(port))
+    try:
+        file = memory.with_name(f"{memory.name}_el").stat()
+        locked = {line.split()[-3].rpartition(":")[2] for line in LOCKS.read_text().splitlines() if "->" not in line}
+    except OSError:
+        return False
+    return file.st_uid == user and str(file.st_ino) in locked
 
 
 def _sentence(domain: int, found: set[tuple[int, int]] | dict[tuple[int, int], float]) -> str:

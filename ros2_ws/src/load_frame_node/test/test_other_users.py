@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -74,13 +75,16 @@ def test_moves_are_refused_while_another_user_is_in_the_domain(
             assert ended(begun).error_code == MoveCrosshead.Result.NONE, "a move that has begun goes on"
             assert operator.ask(hold, Trigger.Request(), "the hold").success
         memory = memory_of_port(domain, number_of_port(port))
+        lock = memory.with_name(f"{memory.name}_el")
         with port_of(NOBODY, port), port_of(NOBODY, port + 1):  # which is one of the next domain
             assert participants_of_others(domain) == {(NOBODY, port)}
-            memory.touch()
-            request.addfinalizer(memory.unlink)
-            os.chown(memory, NOBODY, NOBODY)
-            operator.wait(lambda: not participants_of_others(domain), "the shared memory of its program")
-            operator.wait(lambda: not ended(started(0.0)).error_code, "a move of this user", 40.0)
+            with lock.open("w") as file:
+                request.addfinalizer(lock.unlink)
+                os.chown(lock, NOBODY, NOBODY)
+                assert participants_of_others(domain), "a program that was killed left it"
+                fcntl.flock(file, fcntl.LOCK_EX)
+                assert not participants_of_others(domain), "it receives in shared memory"
+                operator.wait(lambda: not ended(started(0.0)).error_code, "a move of this user", 40.0)
         operator.destroy_node()
     assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
     assert refused.error_message.startswith(
