@@ -1,6 +1,6 @@
 """Periodic textures: how a reference repeats, and which of the displacements that it allows is the true one.
 
-A texture that repeats after a vector a looks the same after any displacement d + (1 + grad d) a. Grids, fabrics and
+A texture that repeats after a vector a looks the same after any displacement a + d(p + a). Grids, fabrics and
 perforated plates do. What is not periodic in the texture, such as dirt and uneven printing, decides between these
 displacements. Where nothing does, the smallest is taken, or the one that is closest to the expected one, and the
 vectors are stated with the result.
@@ -25,6 +25,7 @@ f4 = np.float32
 # 25 px in an image of 512 px reaches .3. test_random_texture_is_not_periodic
 PERIODIC = 0.6
 WIDEST = 512  # [px] of the part, or of the level, in which repetitions are sought
+_SECOND = 0.45  # the same of the second vector, which an object in front of the surface lowers
 _SHADING = 65  # [px], width of the local mean and contrast, which do not count as texture
 _LEAST_CONTRAST = 0.1  # of the largest one; with less an image is noise
 # Of the autocorrelation at a repetition, below which it falls before it: to 0.45 in grids and perforated plates. Along
@@ -151,16 +152,17 @@ def _taper_overlap(shape: tuple[int, int]) -> np.ndarray:
 def _find_vectors(image: np.ndarray) -> np.ndarray | None:
     surface = _autocorrelate(image)
     centre = np.array(surface.shape) // 2
-    rows, columns = np.nonzero((surface == cv2.dilate(surface, np.ones((3, 3)))) & (surface > PERIODIC))
+    rows, columns = np.nonzero((surface == cv2.dilate(surface, np.ones((3, 3)))) & (surface > _SECOND))
     away = np.stack([rows, columns], axis=1) - centre
     inside = (np.abs(away) < centre).all(axis=1)  # an interpolation needs the neighbours
     length = np.hypot(*away.T)
     away = away[inside & (length >= SMALLEST_PERIOD)]
     away = away[[_falls_between(surface, vector) for vector in away]] if len(away) else away
     away = away[np.argsort(np.hypot(*away.T), kind="stable")]
-    if not len(away):
+    clear = [surface[tuple(centre + vector)] > PERIODIC for vector in away]
+    if not any(clear):
         return None
-    first = away[0]
+    first = away[clear.index(True)]
     across = np.abs(first[0] * away[:, 1] - first[1] * away[:, 0])
     apart = across > _SMALLEST_ANGLE * np.hypot(*first) * np.hypot(*away.T)
     chosen = [first, away[apart][0]] if apart.any() else [first]
@@ -241,16 +243,48 @@ def choose_displacement(
     shifts = lattice.multiples((columns / 2, rows / 2))
     moved = np.array([np.nanmean(part) for part in displacement]) - expected
     welcome = shifts[np.argmin(np.hypot(*(moved + shifts @ turned.T).T))]
-    still = _move_back(second, displacement, np.zeros(2))
+    still = _move_back(second, displacement)
     candidates = _unique_rows([np.zeros(2), welcome, *_propose(uneven, _split(still, lattice)[0], shifts)])
     products = np.array(
-        [_block_products(uneven, _move_back(second, displacement, turned @ each) - mean) for each in candidates]
+        [
+            _block_products(uneven, _move_back(second, shift_by_repetition(displacement, gradient, each)) - mean)
+            for each in candidates
+        ]
     )
     totals = np.nansum(products, axis=1)
     best = int(np.argmax(totals))
     equal = [i for i, each in enumerate(products) if i == best or not _exceeds(products[best] - each)]
     away = [float(np.hypot(*(moved + turned @ candidates[index]))) for index in equal]
     return Choice(candidates[equal[int(np.argmin(away))]], len(equal) == 1)
+
+
+def shift_by_repetition(
+    displacement: np.ndarray, gradient: np.ndarray, shift: np.ndarray, spacing: int = 1
+) -> np.ndarray:
+    """Return the displacement d'(p) = a + d(p + a) that a texture with the repetition a allows beside d.
+
+    Where d(p + a) is not known it is d(p) plus what the mean gradient of the displacement adds.
+
+    Parameters
+    ----------
+    displacement
+        (2, row, column) [px]; NaN where not known.
+    gradient
+        Its mean gradient (2, 2).
+    shift
+        a (x, y) [px].
+    spacing
+        Distance of its points [px].
+    """
+    rows, columns = np.indices(displacement.shape[1:], f4)
+    x, y = columns + f4(shift[0] / spacing), rows + f4(shift[1] / spacing)
+    nothing = float("nan")
+    there = [
+        cv2.remap(part.astype(f4), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)
+        for part in displacement
+    ]
+    near = displacement + (gradient @ shift)[:, None, None]
+    return np.asarray(shift[:, None, None] + np.where(np.isfinite(there), there, near))
 
 
 def _unique_rows(vectors: list[np.ndarray]) -> list[np.ndarray]:
@@ -280,12 +314,12 @@ def _split(image: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]
     return image - mean, mean
 
 
-def _move_back(deformed: np.ndarray, displacement: np.ndarray, further: np.ndarray) -> np.ndarray:
+def _move_back(deformed: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return the deformed image at the displaced pixels of the reference, NaN where it is not known."""
     rows, columns = np.indices(deformed.shape, f4)
     x, y = (
         np.where(np.isfinite(each), each, f4(-10)).astype(f4)
-        for each in (columns + displacement[0] + f4(further[0]), rows + displacement[1] + f4(further[1]))
+        for each in (columns + displacement[0], rows + displacement[1])
     )
     nothing = float("nan")
     moved = cv2.remap(deformed, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)

@@ -15,7 +15,7 @@ from fringedic.correlation import resampling_kernels
 from fringedic.correlation.affine import fit_motion
 from fringedic.correlation.agreement import REFUSED, Nodes
 from fringedic.correlation.images import Photometry
-from fringedic.correlation.lattice import Lattice, choose_displacement
+from fringedic.correlation.lattice import Lattice, choose_displacement, shift_by_repetition
 from fringedic.correlation.other_motions import (
     fill_a_window,
     find_unmatched,
@@ -26,7 +26,7 @@ from fringedic.correlation.other_motions import (
 )
 from fringedic.correlation.periodic_start import start_of_lattice
 from fringedic.correlation.prepared import Prepared
-from fringedic.correlation.pyramid import build_pyramid, sample_initial
+from fringedic.correlation.pyramid import build_pyramid, inpaint, sample_initial
 from fringedic.correlation.texture_noise import TextureNoise
 from fringedic.errors import CorrelationError, ErrorCode
 
@@ -159,8 +159,8 @@ def _measure_periodic(
     gradient = fit_motion(nodes.displacement, reference.window.cell)[:, 1:]
     choice = choose_displacement(reference.values, deformed, everywhere, gradient, lattice, expected)
     if choice.shift.any():
-        shift = (np.eye(2) + gradient) @ choice.shift
-        prediction = nodes.displacement + shift.astype(f4)[:, None, None]
+        known = np.where(nodes.valid, nodes.displacement, f4(np.nan))
+        prediction = inpaint(shift_by_repetition(known, gradient, choice.shift, reference.cell).astype(f4))
         nodes = reference.measure(deformed, photometry, prediction)
     return nodes, choice.unique
 

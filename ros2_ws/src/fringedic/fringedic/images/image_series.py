@@ -133,9 +133,9 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
     cannot be measured has its reason in the variable ``error``, and the series goes on. After Ctrl-C the dataset holds
     the images that were measured.
 
-    Points that the independent check refutes, as beside a cable in front of the surface, are not valid: they are NaN,
-    the strain is computed without them, and ``refuted_fraction`` is their share. Copies of an image, saturation and the
-    colour mosaic of a sensor have a remark (``remarks``); a mosaic is smoothed in all images.
+    Points that the independent check refutes, as beside a cable in front of the surface or a crack, are not valid: they
+    are NaN, the strain is computed without them, and ``refuted_fraction`` is their share. Copies of an image,
+    saturation and the colour mosaic of a sensor have a remark (``remarks``); a mosaic is smoothed in all images.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
         worst = int(np.nanargmax(refuted))
         yield (
             f"refuted by it, and therefore not valid: {100 * float(np.nanmean(refuted)):.2f} % of the measured points "
-            f"(beyond {REFUTED:g} sigma, beside something else in the window); worst: {series.images[worst].name}, "
+            f"(beyond {REFUTED:g} sigma, or beside another motion); worst: {series.images[worst].name}, "
             f"{100 * float(refuted[worst]):.2f} %"
         )
     yield from remark_sentences(series)

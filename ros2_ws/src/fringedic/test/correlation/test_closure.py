@@ -95,6 +95,46 @@ def test_points_beside_an_occluder_are_refuted():
     assert not refuted[:, ~beside].any()
 
 
+@pytest.mark.parametrize("slide", [2.5, 7.0])
+def test_points_beside_a_seam_are_right_or_refuted(slide):
+    """The part below a straight seam slides and reveals nothing; points further away than a window and a half stay."""
+    size, generator = (300, 400), np.random.default_rng(5)
+    texture = 120 + 40 * gaussian_filter(generator.normal(size=(300, 460)), 1.8) * 6.4
+    row, column = np.mgrid[: size[0], : size[1]].astype(float)
+    below = row >= 150
+    images = []
+    for moved in (0.0, slide):
+        grey = map_coordinates(texture, [row, 30 + column - moved * below], order=5)
+        images.append((grey + generator.normal(0, 1.5, size)).astype(np.float32))
+    field = measure_displacement(*images, window=32, spacing=4)
+    refuted = refuted_points(displacement_closure(*images, field), field)
+    error = np.abs(np.stack([field.displacement_x - slide * (field.row >= 150), field.displacement_y]))
+    wrong = (error > 5 * np.stack([field.sigma_x, field.sigma_y])).any(axis=0)
+    apart = np.abs(field.row.values - 150) > 48
+    assert wrong.sum() > 50
+    assert (wrong & ~refuted).sum() <= 0.02 * wrong.sum()
+    assert not refuted[apart].any()
+
+
+def test_edges_of_a_turned_and_stretched_image_are_not_refuted():
+    """Beyond the measured points the displacement goes on as it turns and stretches: the images agree there."""
+    size, generator = (300, 400), np.random.default_rng(6)
+    texture = 120 + 40 * gaussian_filter(generator.normal(size=(700, 800)), 1.8) * 6.4
+    row, column = np.mgrid[: size[0], : size[1]].astype(float)
+    turn = np.deg2rad(-15)
+    motion = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ np.diag([1.1, 0.97])
+    back = np.linalg.inv(motion)
+    x, y = column - 200, row - 150
+    places = ([row, column], [150 + back[1, 0] * x + back[1, 1] * y, 200 + back[0, 0] * x + back[0, 1] * y])
+    images = [
+        (map_coordinates(texture, [200 + v, 200 + u], order=5) + generator.normal(0, 1.5, size)).astype(np.float32)
+        for v, u in places
+    ]
+    field = measure_displacement(*images, window=32, spacing=4)
+    assert 0.5 < field.valid.mean() < 0.95
+    assert refuted_points(displacement_closure(*images, field), field).sum() <= 2
+
+
 def test_nothing_measured_is_nothing_checked(measured):
     first, second, field = measured
     found = closures((first, second), field.where(False).assign_attrs(field.attrs))

@@ -13,6 +13,7 @@ from fringedic.correlation.pyramid import build_pyramid
 SHAPE = (280, 360)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
 PITCH = 12.0
+TURN = 2 * np.pi
 NOISE = 12.0  # [grey level] of 12 bits; the waves have a standard deviation of 500
 
 
@@ -109,6 +110,35 @@ def test_random_part_decides_after_strain_and_rotation(speckle, expose, matrix, 
     assert "repeats_px" not in field.attrs
     assert np.nanmax(np.abs(z)) < 6
     assert field.valid.mean() > 0.6
+
+
+def test_random_part_decides_after_a_wave(speckle, expose):
+    """The displacement of a point is compared with that of its repetition, which the wave has moved otherwise."""
+    fabric = Fabric(speckle, 0.08)
+    shift, wavelength = (97.0, 45.0), 240.0
+
+    def displaced(x, y):
+        return shift[0] + 3 * np.sin(TURN * (x + y) / wavelength), shift[1] + 0 * y
+
+    x, y = X - shift[0], Y - shift[1]
+    for _ in range(30):  # the material point that is displaced to each pixel
+        dx, dy = displaced(x, y)
+        x, y = X - dx, Y - dy
+    spots = fabric.spots.grey(displaced)
+    deformed = weave(x, y) + 0.08 * 500 / 614 * (spots - 2048)
+    field = measure_displacement(expose(fabric.grey(), NOISE, 1), expose(deformed, NOISE, 2), spacing=4)
+    z = scores(field, *displaced(X[::4, ::4], Y[::4, ::4]))
+    assert "repeats_px" not in field.attrs
+    assert field.valid.mean() > 0.5
+    assert np.nanmax(np.abs(z)) < 6
+
+
+def test_both_vectors_are_found_behind_a_bar(expose):
+    """A bar lowers the autocorrelation across it."""
+    grey = weave(X, Y)
+    grey[100:150] = 700
+    image = (expose(grey, NOISE, 1).astype(np.float32) - 2048) / 500
+    assert find_lattice(build_pyramid(image)).vectors.shape == (2, 2)
 
 
 def test_perfect_lattice_is_known_up_to_its_vectors(speckle, expose):
