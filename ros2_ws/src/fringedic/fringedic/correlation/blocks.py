@@ -11,6 +11,9 @@ from fringedic.correlation.pyramid import Level
 BLOCK = 8  # [px]
 # [grey level], standard deviation: the quantisation of the mean of a block at quality 50 (JPEG, table K.1)
 FAINT = 16.0
+# [grey level], standard deviation below which compression leaves hardly anything of a texture, and the ratio of the
+# steps from which on an image is compressed: 1.8 and 2.2 for noise at quality 75; test_faint_texture_in_jpeg_images
+HIDDEN, COMPRESSED = 4.0, 1.5
 # Mean absolute step across the edges of blocks over that within them, along both axes: 1 without compression and up to
 # 2.5 in faint images of quality 90, where the texture is measured; test_blocks_of_dark_jpeg_images_are_no_texture
 STRONG = 3.0
@@ -36,6 +39,24 @@ def leave_out_block_edges(level: Level, deviation: float) -> Level:
         along_x[:, edge::BLOCK] = 0
         along_y[edge::BLOCK] = 0
     return replace(level, along_x=along_x, along_y=along_y)
+
+
+def explain_compression(level: Level, deviation: float) -> str:
+    """Return why a compressed reference shows no texture, and what helps; empty where it does or is not compressed.
+
+    Parameters
+    ----------
+    level
+        The full image.
+    deviation
+        Standard deviation of its grey levels.
+    """
+    if not deviation < HIDDEN or min(level.shape) < 4 * BLOCK or not min(_edge_ratios(level.values)) > COMPRESSED:
+        return ""
+    return (
+        "the contrast of the reference is so faint that its compression (JPEG) hides texture. Use more light or a "
+        "stronger pattern, and save images without loss"
+    )
 
 
 def _edge_ratios(values: np.ndarray) -> tuple[float, float]:

@@ -14,6 +14,7 @@ import numpy as np
 from fringedic.correlation import resampling_kernels
 from fringedic.correlation.affine import fit_motion
 from fringedic.correlation.agreement import REFUSED, Nodes
+from fringedic.correlation.blocks import explain_compression
 from fringedic.correlation.images import Photometry
 from fringedic.correlation.lattice import Lattice, choose_displacement, shift_by_repetition
 from fringedic.correlation.other_motions import (
@@ -80,18 +81,28 @@ def measure_points(
         if error.code is not ErrorCode.NO_CORRELATION:
             raise
         binned = _measure_binned(reference, deformed, photometry, start, spacing)
-        cause = TextureNoise.of(reference.levels[0]).sentence
-        if binned is None and cause:
-            raise CorrelationError(f"{REFUSED}: {cause}", code=error.code) from error
-        if binned is None:
-            raise
-        return binned
+        if binned is not None:
+            return binned
+        if cause := _explain(reference, str(error)):
+            raise CorrelationError(cause, code=error.code) from error
+        raise
     wanted = np.isfinite(reference.values[::spacing, ::spacing])
     if np.count_nonzero(points.valid) < _MOST * np.count_nonzero(wanted):
         binned = _measure_binned(reference, deformed, photometry, start, spacing)
         if binned is not None and np.count_nonzero(binned.valid) > np.count_nonzero(points.valid):
             return binned
     return points
+
+
+def _explain(reference: Prepared, refusal: str) -> str:
+    """Return the message of a refusal with the texture as its cause, or as a possible one; empty where it is none."""
+    level = reference.levels[0]
+    faint = TextureNoise.of(level).sentence
+    if faint and reference.binned() is None:
+        return f"{REFUSED}: {faint}"
+    # averaged pixels, or less compression, would show the texture: either image may be the cause
+    possible = faint or explain_compression(level, reference.deviation)
+    return f"{refusal}. Besides, {possible}" if possible else ""
 
 
 def _measure_binned(

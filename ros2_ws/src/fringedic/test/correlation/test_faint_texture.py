@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -52,6 +53,26 @@ def test_noise_alone_is_refused(expose):
     with pytest.raises(CorrelationError) as error:
         measure_displacement(*images, spacing=4)
     assert error.value.code is ErrorCode.NO_CORRELATION
+
+
+def jpeg(image, quality):
+    return cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.mark.parametrize("quality", [70, 80])
+def test_faint_texture_in_jpeg_images(quality):
+    """Compression removes the fine noise by which the texture is compared: the refusal names it beside the surface."""
+    random = np.random.default_rng(4)
+    images = [np.rint(60 + random.normal(0, 4, SHAPE)).astype(np.uint8) for _ in "ab"]
+    with pytest.raises(CorrelationError, match=r"same surface.*compression \(JPEG\) hides texture"):
+        measure_displacement(*(jpeg(each, quality) for each in images), spacing=4)
+
+
+def test_another_surface_is_named_where_averaged_pixels_would_show_the_texture(surface, expose):
+    """The deformed image shows noise alone: either the texture or the surface may be the cause."""
+    reference, deformed = 2048 + 0.5 * (surface.grey() - 2048), np.full(SHAPE, 2048.0)
+    with pytest.raises(CorrelationError, match=r"same surface.*Besides, the texture of the reference"):
+        measure_displacement(expose(reference, 300, 1), expose(deformed, 300, 2), spacing=4)
 
 
 def test_noise_of_the_reference_is_no_texture(speckle, expose):
