@@ -14,6 +14,8 @@ from fringedic.frames.region import Region
 from fringedic.recording import BagWriter
 from fringedic_bringup.launch.graph import Graph, rig_graph
 from fringedic_bringup.procedures.continuing import (
+    RecordedSteps,
+    continued,
     folder_of_one_command,
     recorded_steps,
     require_same_calibration,
@@ -64,6 +66,16 @@ def test_settings_that_change_results_are_those_of_the_first_steps(
         return
     with pytest.raises(ConfigurationError, match=rf"not those of its first steps \({named}\); undo the change"):
         require_same_settings(changed, logs)
+
+
+@pytest.mark.parametrize("measured", [[0, 1, 3], []])
+def test_the_first_step_after_measured_ones_takes_the_place_of_the_reference(
+    measured: list[int], tmp_path: Path
+) -> None:
+    """Its nodes do not have the reference, which the recording still has; before the first one nothing is lost."""
+    graph = continued(graph_of(tmp_path), tmp_path / "run" / "bag", RecordedSteps(measured, 3, len(measured)))
+    parameters = {node.name: node.parameters for node in graph.nodes}
+    assert (parameters["experiment"]["first_step"], parameters["experiment"]["reference_lost"]) == (4, bool(measured))
 
 
 def test_a_refused_graph_leaves_the_calibration_of_the_run(tmp_path: Path) -> None:
