@@ -59,9 +59,10 @@ def write_results(
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
     try:
-        from_nodes = recorded.find_optional("phase/status") and not measure_again
-        write = dataset_from_derived if from_nodes else process_bag
-        write(bag, output=target, experiment=experiment, overwrite=True)
+        if measure_again or not recorded.find_optional("phase/status"):
+            process_bag(bag, output=target, experiment=experiment, overwrite=True)
+        else:
+            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
     except DatasetError as error:
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
