@@ -2,7 +2,7 @@
 
 import { next } from "./stream.js";
 
-const ACKNOWLEDGED_MS = 250; // after which a command without an answer is said to be on its way
+const ACKNOWLEDGED_MS = 150; // after which a command without an answer is said to be on its way
 const PASSING_MS = 4000;
 const CHANGED_MS = 1000; // longest time between the answer to a start and the message of its procedure
 let isRefusal = false, passing = 0;
