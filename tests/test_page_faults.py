@@ -427,6 +427,11 @@ def test_a_looker_reads_why_a_button_has_no_effect(browser: Browser, site: Site,
         expect(other.locator("#run")).to_be_disabled()
         other.click("#run", force=True)
         expect(other.locator("#message")).to_contain_text("drives: ask for the wheel first")
+        other.click("#ask")
+        expect(other.locator("#ask")).to_be_disabled()
+        seen = {"drives": False, "driver": None, "driver_present": False, "asking": None, "asked": True}
+        site.server.publish("wheel", lambda: json.dumps({"topic": "wheel", "data": seen}))
+        expect(other.locator("#ask")).to_be_enabled()
     assert not rig.commands
 
 

@@ -45,8 +45,9 @@ function takeRig(rig) {
 
 function takeWheel(wheel) {
   const give = button(wheel.asking ? `Hand over to ${wheel.asking}` : "Hand over", { id: "give", onclick: () => command("wheel", { action: "give" }) });
-  const ask = button(wheel.asked ? "Asked for the wheel" : "Ask for the wheel", { id: "ask", onclick: () => command("wheel", { action: "ask" }),
-    why: wheel.asked ? `${wheel.driver} has been asked: wait until the wheel is handed over.` : "" });
+  const waits = wheel.asked && wheel.driver_present; // a driver who has left is not waited for
+  const ask = button(waits ? "Asked for the wheel" : "Ask for the wheel", { id: "ask", onclick: () => command("wheel", { action: "ask" }),
+    why: waits ? `${wheel.driver} has been asked: wait until the wheel is handed over.` : "" });
   const who = wheel.drives ? "You drive" : wheel.driver_present ? `${wheel.driver} drives` : "Nobody drives";
   patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
 }
