@@ -5,10 +5,13 @@ Both contain the same variables, one chunk per map and step, and get their name 
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import shutil
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -21,6 +24,7 @@ from fringedic.datasets.checksums import CHECKED, CONTENT, checksums_of
 from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
 from fringedic.errors import DatasetError, ErrorCode
 from fringedic.frames.sensor import SENSOR, file_of
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 SUFFIXES = (".nc", ".zarr")
@@ -220,12 +224,45 @@ def _temporary(target: Path) -> Path:
     return target.with_name(f".{target.name}.writing")
 
 
+class _Output(io.FileIO):
+    """A file that keeps the first error of writing: HDF5 would end the process (SIGSEGV) when it closes the file."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all bytes, and return their number also when the disk refuses them."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while rest and self.error is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size of the file."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+    def require_written(self, target: Path) -> None:
+        """Raise DatasetError if the disk has refused a part."""
+        if self.error is not None:
+            code = ErrorCode.DISK_FULL if self.error.errno == errno.ENOSPC else None
+            words = f"{target}: cannot be written: {cause_of(self.error)}; make room, or choose another output"
+            raise DatasetError(words, code=code) from self.error
+
+
 class NetcdfStore:
     """A NetCDF-4 file."""
 
     def __init__(self, target: Path) -> None:
         self._target = target
-        self._file: Any = h5netcdf.File(_temporary(target), "w", libver=_FORMAT)
+        self._output = _Output(_temporary(target), "w+")
+        self._file: Any = h5netcdf.File(self._output, "w", libver=_FORMAT)
         self._file.dimensions = {"step": None}
 
     @property
@@ -261,44 +298,50 @@ class NetcdfStore:
     def flush(self) -> None:
         """Hand everything to the operating system."""
         self._file.flush()
+        self._output.require_written(self._target)
 
     def finish(self, attributes: Mapping[str, str]) -> None:
         """Write the attributes, close, and give the dataset its name."""
         for name, value in attributes.items():
             self._file.attrs[name] = value
         self._file.close()
-        _end_growth(_temporary(self._target), "step")
+        self._output.require_written(self._target)
+        with h5py.File(self._output, "r+", libver=_FORMAT) as content:
+            _end_growth(content, "step")
+        self._output.require_written(self._target)
+        self._output.close()
         _temporary(self._target).replace(self._target)
 
     def discard(self) -> None:
         """Close and remove what was written."""
         self._file.close()
-        _temporary(self._target).unlink()
+        self._output.close()
+        with suppress(OSError):  # the disk became read-only: the first error is reported
+            _temporary(self._target).unlink(missing_ok=True)
 
 
-def _end_growth(file: Path, dimension: str) -> None:
+def _end_growth(content: h5py.File, dimension: str) -> None:
     """Give a growing dimension its final length.
 
     Readers ask every variable for the length of a growing dimension, again for every other variable: opening a file
     with forty maps then takes seconds instead of tenths.
     """
-    with h5py.File(file, "r+", libver=_FORMAT) as content:
-        growing = content[dimension]
-        variables = [
-            variable
-            for name, variable in content.items()
-            if name != dimension and variable.ndim and len(variable.dims[0]) and variable.dims[0][0] == growing
-        ]
-        attributes = {name: value for name, value in growing.attrs.items() if name not in _OF_A_SCALE}
-        values = growing[...]
-        for variable in variables:
-            variable.dims[0].detach_scale(growing)
-        del content[dimension]
-        fixed = content.create_dataset(dimension, data=values, fletcher32=True)
-        fixed.attrs.update(attributes)
-        fixed.make_scale(dimension)
-        for variable in variables:
-            variable.dims[0].attach_scale(fixed)
+    growing = content[dimension]
+    variables = [
+        variable
+        for name, variable in content.items()
+        if name != dimension and variable.ndim and len(variable.dims[0]) and variable.dims[0][0] == growing
+    ]
+    attributes = {name: value for name, value in growing.attrs.items() if name not in _OF_A_SCALE}
+    values = growing[...]
+    for variable in variables:
+        variable.dims[0].detach_scale(growing)
+    del content[dimension]
+    fixed = content.create_dataset(dimension, data=values, fletcher32=True)
+    fixed.attrs.update(attributes)
+    fixed.make_scale(dimension)
+    for variable in variables:
+        variable.dims[0].attach_scale(fixed)
 
 
 class ZarrStore:

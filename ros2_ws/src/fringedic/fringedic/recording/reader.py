@@ -318,7 +318,11 @@ class BagReader:
 
     def _of_other_types(self, names: Iterable[str]) -> list[Topic]:
         """Return the topics that have one of these names and the type of another program."""
-        return [topic for topic in self.topics.values() if any(is_named(topic.name, "", name) for name in names)]
+        return [
+            topic
+            for topic in self.topics.values()
+            if any(is_named(topic.name, "", name) and not is_named(topic.name, topic.type_name, name) for name in names)
+        ]
 
     @cached_property
     def sensors(self) -> dict[str, str]:
