@@ -26,6 +26,7 @@ from pathlib import Path
 from statistics import median
 from unittest.mock import patch
 
+import h5netcdf
 import numpy as np
 import xarray as xr
 import yaml
@@ -132,7 +133,10 @@ class Damage:
 
     def _try(self, file: Path, damaged: bytes | None, description: str) -> None:
         whole = file.read_bytes()
-        file.unlink() if damaged is None else file.write_bytes(damaged)
+        if damaged is None:
+            file.unlink()
+        else:
+            file.write_bytes(damaged)
         outcome, words = self._outcome()
         file.write_bytes(whole)
         self.outcomes[outcome] += 1
@@ -264,7 +268,7 @@ def overhead(folder: Path) -> None:
                 for name in names:
                     dataset[name][step].values  # noqa: B018
 
-    add = stores.h5netcdf.File.create_variable
+    add = h5netcdf.File.create_variable
 
     def without_fletcher(self: object, *args: object, **options: object) -> object:
         return add(self, *args, **{**options, "fletcher32": False})
@@ -274,8 +278,11 @@ def overhead(folder: Path) -> None:
         for _ in range(5):
             for label, summed in (("without", False), ("with", True)):
                 file = folder / f"{label}{suffix}"
-                shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
-                with patch.object(stores.h5netcdf.File, "create_variable", add if summed else without_fletcher):
+                if file.is_dir():
+                    shutil.rmtree(file)
+                else:
+                    file.unlink(missing_ok=True)
+                with patch.object(h5netcdf.File, "create_variable", add if summed else without_fletcher):
                     times.setdefault(f"write {label}", []).append(_seconds(lambda: write(file, summed)))  # noqa: B023
                 times.setdefault(f"read {label}", []).append(_seconds(lambda: read(file)))  # noqa: B023
         for what in ("write", "read"):

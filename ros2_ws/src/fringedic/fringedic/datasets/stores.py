@@ -168,8 +168,8 @@ def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mappin
     require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
     temporary = _temporary(target)
     plain = _of_a_file(dataset)
-    numbers = [name for name, each in plain.variables.items() if each.ndim and each.dtype.kind in "biufM"]
-    sums = {name: {**dict((encoding or {}).get(str(name), {})), "fletcher32": True} for name in numbers}
+    numbers = [str(name) for name, each in plain.variables.items() if each.ndim and each.dtype.kind in "biufM"]
+    sums = {name: {**(encoding or {}).get(name, {}), "fletcher32": True} for name in numbers}
     try:
         plain.to_netcdf(temporary, engine="h5netcdf", encoding={**(encoding or {}), **sums})
         with xr.open_dataset(temporary, engine="h5netcdf", decode_cf=False, cache=False) as raw:
