@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 RECORDING = ROOT / "ros2_ws/src/fringedic/test/recordings/version_0_1/bag"
 AS_NOBODY = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups", sys.executable, "-c"]
 PROGRAMME = "{experiment: watched, ramp: {to_mm: 0.6, steps: 200, speed_mm_per_s: 5}}"
-ATTEMPT_S = 60.0  # a busy computer takes half of it for the discovery
+ATTEMPT_S = 45.0  # a busy computer takes half of it for the discovery
 UDP_ONLY = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <transport_descriptors>
@@ -170,7 +170,7 @@ def main() -> None:
             "view": ["view", str(folder / "many/0"), "--port", "8124"],
             "view --foxglove": ["view", str(RECORDING), "--foxglove", "--port", "8125"],
             "campaign run --workers 2": ["campaign", "run", str(folder / "campaign"), "--workers", "2"],
-            "replay": ["replay", str(RECORDING)],
+            "replay": ["replay", str(folder / "many/1")],
         }
         chosen = sys.argv[1:] or list(commands)
         for title in chosen:
@@ -182,7 +182,7 @@ def main() -> None:
                     time.sleep(0.2)
                 found = attempts(command, "/rig", folder) if process.poll() is None else {}
                 print(title, json.dumps(found), f"still runs: {process.poll() is None}", flush=True)
-                process.send_signal(signal.SIGINT)
+                process.send_signal(signal.SIGTERM)
                 process.wait(300)
             table.add_row(
                 title, *(str(found.get(key, "")) for key in ("TCP", "UDP", "ports", "memory", "usual", "UDP only"))

@@ -108,7 +108,7 @@ class TopicServer:
             import websockets.asyncio.server  # noqa: F401, used in the thread of the server
         self._name, self._span = name, span
         self._token, self._session = new_token(), new_token()
-        self._types: dict[str, str] = {}  # of the topics that are offered
+        self._topics: set[str] = set()
         self._channels: list[dict[str, Any]] = []  # their descriptions, in the thread of the server
         self._watchers: Counter[str] = Counter()
         self._viewers: set[Viewer] = set()
@@ -131,7 +131,7 @@ class TopicServer:
     @property
     def topics(self) -> set[str]:
         """Names of the topics that are offered."""
-        return set(self._types)
+        return set(self._topics)
 
     def offer(self, topic: str, type_name: str, definition: str) -> None:
         """Offer a topic with serialised messages of ROS 2.
@@ -143,8 +143,8 @@ class TopicServer:
         definition
             Full text of the message definition, as of `fringedic.recording.Topic`.
         """
-        self._types[topic] = type_name
-        channel = {"id": len(self._types), "topic": topic, "encoding": "cdr", "schemaName": type_name}
+        self._topics.add(topic)
+        channel = {"id": len(self._topics), "topic": topic, "encoding": "cdr", "schemaName": type_name}
         self._loop.call_soon_threadsafe(self._add, channel | {"schemaEncoding": "ros2msg", "schema": definition})
 
     def is_watched(self, topic: str) -> bool:

@@ -85,6 +85,15 @@ def compared(campaign: Path) -> None:
             CliRunner().invoke(main.app, ["compare", *wrong], catch_exceptions=False)
 
 
+def test_a_scheduler_without_certificates_is_used_with_a_warning(tmp_path: Path) -> None:
+    command("init", str(tmp_path / "batch"))
+    shutil.copytree(RECORDED, tmp_path / "batch" / "recordings" / "plate-1")
+    words = ["campaign", "run", str(tmp_path / "batch"), "--scheduler", "tcp://127.0.0.1:9"]
+    done = CliRunner().invoke(main.app, words)
+    assert "warning: whoever reaches tcp://127.0.0.1:9 can run programs as its user" in " ".join(done.output.split())
+    assert "the Dask scheduler tcp://127.0.0.1:9 does not answer" in str(done.exception)
+
+
 def test_recordings_in_an_object_store_have_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = fsspec.filesystem("memory")
     files.put(str(RECORDED), "/laboratory/plate-1/bag", recursive=True)
