@@ -173,8 +173,8 @@ def test_a_silent_connection_is_ended(monkeypatch: pytest.MonkeyPatch, caplog: p
     monkeypatch.setattr(foxglove, "SILENT_S", 0.2)
     server = TopicServer(0, "impatient")
     try:
-        place = urlsplit(server.url)
-        with socket.create_connection((place.hostname, place.port), timeout=WAIT_S) as silent:
+        port = int(urlsplit(server.url).port or 0)
+        with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as silent:
             assert silent.recv(1) == b""
     finally:
         server.close()
@@ -183,7 +183,8 @@ def test_a_silent_connection_is_ended(monkeypatch: pytest.MonkeyPatch, caplog: p
 
 def test_a_slow_viewer_misses_messages_and_no_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foxglove, "BACKLOG", 10)
-    viewer, sent = foxglove.Viewer(), []
+    viewer = foxglove.Viewer()
+    sent: list[bytes | str] = []
     viewer.say({"op": "status"})
     for number in range(5):
         viewer.put(b"\x01" + bytes([number]))
