@@ -255,7 +255,7 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
     reader = BagReader(running.bag)
     announced = [message for _, message, _ in reader.messages(reader.find("experiment/reference").values())]
-    assert [(each.step > 0, each.previous_lost) for each in announced] == [(False, False), (True, True)]
+    assert {(each.step > 0, each.previous_lost) for each in announced} == {(False, False), (True, True)}
     log = read_log(running.bag.parent)
     assert [(entry.action, entry.details["interrupted"]) for entry in log.entries] == [
         ("run", True),
