@@ -26,8 +26,10 @@ from .patterns import ResponseCurve as ResponseCurve
 from .patterns import fringe_sequence as fringe_sequence
 from .patterns import gray_code_sequence as gray_code_sequence
 from .patterns import one_image_sequence as one_image_sequence
+from .phase import ImageMotion as ImageMotion
 from .phase import absolute_phase as absolute_phase
 from .phase import demodulate as demodulate
+from .phase import demodulate_moving as demodulate_moving
 from .phase import unwrap_hierarchical as unwrap_hierarchical
 from .phase import unwrap_spatial as unwrap_spatial
 from .report import write_report as write_report

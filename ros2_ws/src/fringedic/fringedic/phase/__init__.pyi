@@ -5,6 +5,8 @@ from .fringe_order import unwrap_hierarchical as unwrap_hierarchical
 from .fringe_order import unwrap_spatial as unwrap_spatial
 from .lens_blur import correct_lens_blur as correct_lens_blur
 from .measure import measure_phase as measure_phase
+from .moving import ImageMotion as ImageMotion
+from .moving import demodulate_moving as demodulate_moving
 from .noise import estimate_noise as estimate_noise
 from .one_image import one_image_phase as one_image_phase
 from .settings import PhaseSettings as PhaseSettings

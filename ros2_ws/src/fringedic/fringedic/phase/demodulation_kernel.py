@@ -76,7 +76,7 @@ class Maps(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _angle(sine: np.float32, cosine: np.float32) -> np.float32:
+def find_angle(sine: np.float32, cosine: np.float32) -> np.float32:
     """Return the arctangent of eq. 11 [rad], -pi to pi, to 2e-7.
 
     A polynomial in the square of the smaller over the larger argument (Chebyshev fit of arctan(x)/x), without branches:
@@ -190,7 +190,7 @@ def _unwrap(
         for column in range(columns):
             s, c = sines[column], cosines[column]
             amplitude = scale * np.sqrt(s * s + c * c)
-            wrapped = _angle(s, c)
+            wrapped = find_angle(s, c)
             scatter = spread * noise[column]
             coarse = wrapped if first else angle[column] * finer
             before = np.float32(0) if first else deviation[column] * finer

@@ -71,8 +71,20 @@ def estimate_noise(
             levels, angles = sample[where], shift_angles(period)
             fit = fit_wave(levels, angles)
             unexplained += np.sum(remove_harmonics(levels - wave_levels(fit, angles), fit, angles) ** 2, axis=0)
-    texture = sample[layout.code :].mean(axis=0)
-    classes = np.array_split(np.argsort(texture, kind="stable"), min(_LEVELS, sample.shape[1]))
+    return noise_of_residuals(sample[layout.code :].mean(axis=0), unexplained, freedom)
+
+
+def noise_of_residuals(texture: np.ndarray, unexplained: np.ndarray, freedom: int) -> CameraNoise:
+    """Return the noise of grey levels from the sums of squared residuals of pixels, see `estimate_noise`.
+
+    Parameters
+    ----------
+    texture
+        Mean grey level of each pixel, shape (pixel,).
+    unexplained, freedom
+        Sum of the squared residuals of each pixel [grey level^2] and its degrees of freedom.
+    """
+    classes = np.array_split(np.argsort(texture, kind="stable"), min(_LEVELS, len(texture)))
     level = np.array([texture[each].mean() for each in classes])
     variance = np.array([np.median(unexplained[each]) for each in classes]) / chdtri(freedom, 0.5)
     read_variance, shot = nnls(np.stack([np.ones_like(level), level], axis=1), variance)[0]

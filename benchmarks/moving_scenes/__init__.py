@@ -1,0 +1,1 @@
+"""Exact frames of a moving surface, for benchmarks and tests of the measurement in motion."""
