@@ -7,6 +7,9 @@ from .lens_blur import correct_lens_blur as correct_lens_blur
 from .measure import measure_phase as measure_phase
 from .moving import ImageMotion as ImageMotion
 from .moving import demodulate_moving as demodulate_moving
+from .moving_shifts import ShiftPlan as ShiftPlan
+from .moving_shifts import check_shifts as check_shifts
+from .moving_shifts import plan_shifts as plan_shifts
 from .noise import estimate_noise as estimate_noise
 from .one_image import one_image_phase as one_image_phase
 from .settings import PhaseSettings as PhaseSettings

@@ -38,7 +38,6 @@ FEWEST_FRAMES = 5
 """Of the finest pitch: four parameters and one residual."""
 
 _LARGEST_REST = 0.7  # [rad] by which a pixel's phase may leave that of its cell's drift at the first and last frame
-_LARGEST_MISFIT = 2.0  # variance of the residuals over that of the noise: the model errs as much as the noise
 _LARGEST_RELATIVE = 0.15  # residuals over modulation, where the noise is not known
 _ONE_FRAME = 0.7  # of the way from an equal share of the residuals to all of them
 _SMALLEST_CONTRAST = 0.5  # that motion blur leaves
@@ -113,8 +112,8 @@ def demodulate_moving(
     displacement
         Motion of the material points; its time 0 is the middle of the frames of the finest pitch.
     settings
-        Its ``noise``, ``saturation`` and ``minimum_modulation`` are used. Without a noise it is estimated from the
-        residuals, and the check of the motion is less sensitive.
+        Its ``noise``, ``saturation``, ``minimum_modulation`` and ``largest_misfit`` are used. Without a noise it is
+        estimated from the residuals, and the check of the motion is less sensitive.
     drift
         Predicted drift of the phase at the finest pitch [rad/s], the middle of the range that is searched. Needed where
         the surface outruns the shifts, see `plan_shifts`.
@@ -175,7 +174,7 @@ def demodulate_moving(
         )
     fit = _fit_finest(stack, within, settings.noise)
     exposure = exposure_time / stack.unit
-    _check_fit(fit, settings.minimum_modulation, exposure)
+    _check_fit(fit, settings, exposure)
     return _dataset(
         *_unwrap(stack, fit, settings.minimum_modulation, prediction), stack, fit, exposure_time / stack.unit
     )
@@ -399,10 +398,10 @@ def _contrast(fit: _Fit, exposure: float) -> np.ndarray:
     return np.sinc(fit.maps[3] * exposure / (2 * np.pi))
 
 
-def _check_fit(fit: _Fit, minimum_modulation: float, exposure: float) -> None:
+def _check_fit(fit: _Fit, settings: PhaseSettings, exposure: float) -> None:
     """Raise `StepError` where the model is not that of the frames."""
     with np.errstate(invalid="ignore"):
-        bright = fit.maps[1] > max(minimum_modulation, 2 * CONFIDENCE * float(np.nanmedian(fit.deviation)))
+        bright = fit.maps[1] > max(settings.minimum_modulation, 2 * CONFIDENCE * float(np.nanmedian(fit.deviation)))
     bad = bright & ~(fit.condition < LARGEST_CONDITION)
     if fit.residuals is None or bad.sum() > 0.5 * max(bright.sum(), 1):
         raise StepError(
@@ -411,7 +410,10 @@ def _check_fit(fit: _Fit, minimum_modulation: float, exposure: float) -> None:
             code=ErrorCode.INVALID_SEQUENCE,
         )
     residuals = fit.residuals
-    wrong = fit.misfit > _LARGEST_MISFIT if fit.misfit == fit.misfit else residuals.relative() > _LARGEST_RELATIVE
+    if np.isfinite(fit.misfit):
+        wrong = fit.misfit > settings.largest_misfit
+    else:
+        wrong = np.isfinite(settings.largest_misfit) and residuals.relative() > _LARGEST_RELATIVE
     if wrong:
         shares = residuals.frame_shares()
         equal = 1 / residuals.freedom

@@ -115,19 +115,70 @@ def _apply(filters: np.ndarray, frames: np.ndarray, row: int, first: int, out: n
                 out[p, c] += weight * frames[k, row, first + c]
 
 
-@njit(nogil=True, error_model="numpy")
-def _hold_modulation(estimate: np.ndarray, covariance: np.ndarray) -> None:
-    """Change the five estimates so that the modulation has no rate, by their covariance."""
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _hold_modulation(estimate: np.ndarray, covariance: np.ndarray, factor: np.ndarray) -> None:
+    """Change the five estimates of each pixel so that the modulation has no rate, by their covariance."""
     cosine, sine = estimate[1], estimate[2]
-    across = cosine * estimate[3] + sine * estimate[4]
-    variance = f4(0)
-    change = np.empty(5, f4)
+    a, b, c = covariance[3, 3], covariance[3, 4], covariance[4, 4]
+    for k in range(factor.size):
+        across = cosine[k] * estimate[3, k] + sine[k] * estimate[4, k]
+        variance = cosine[k] * cosine[k] * a + f4(2) * cosine[k] * sine[k] * b + sine[k] * sine[k] * c
+        factor[k] = across / max(variance, f4(1e-30))
+    for p in (0, 3, 4):  # cosine and sine are changed last: the others need them
+        one, other = covariance[p, 3], covariance[p, 4]
+        changed = estimate[p]
+        for k in range(factor.size):
+            changed[k] -= factor[k] * (one * cosine[k] + other * sine[k])
+    a, b = covariance[1, 3], covariance[1, 4]
+    c, d = covariance[2, 3], covariance[2, 4]
+    for k in range(factor.size):
+        old_cosine, old_sine = cosine[k], sine[k]
+        cosine[k] = old_cosine - factor[k] * (a * old_cosine + b * old_sine)
+        sine[k] = old_sine - factor[k] * (c * old_cosine + d * old_sine)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_higher(sums: np.ndarray, estimate: np.ndarray, higher: np.ndarray, work: np.ndarray) -> None:
+    """Set the estimates to the sums with the terms that the linear model omits, for the drift of the estimates."""
+    cosine, sine = work[0], work[1]
+    second, third = work[2], work[3]
+    for k in range(cosine.size):
+        cosine[k], sine[k] = estimate[1, k], estimate[2, k]
+        square = max(cosine[k] * cosine[k] + sine[k] * sine[k], f4(1e-12))
+        drift = (cosine[k] * estimate[4, k] - sine[k] * estimate[3, k]) / square
+        second[k], third[k] = drift * drift, drift * drift * drift
     for p in range(5):
-        change[p] = covariance[p, 3] * cosine + covariance[p, 4] * sine
-    variance = cosine * change[3] + sine * change[4]
-    if variance > f4(0):
-        for p in range(5):
-            estimate[p] -= change[p] * across / variance
+        a, b, c, d = higher[p, 0], higher[p, 1], higher[p, 2], higher[p, 3]
+        source, target = sums[p], estimate[p]
+        for k in range(cosine.size):
+            target[k] = source[k] + second[k] * (cosine[k] * a + sine[k] * b) + third[k] * (cosine[k] * d - sine[k] * c)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _propagate(estimate: np.ndarray, covariance: np.ndarray, out: np.ndarray) -> None:
+    """Return mean, modulation, phase, drift and the variances of `fit_drifting` of each pixel, out (7, pixel)."""
+    q11, q12, q22 = covariance[1, 1], covariance[1, 2], covariance[2, 2]
+    q13, q14, q23, q24 = covariance[1, 3], covariance[1, 4], covariance[2, 3], covariance[2, 4]
+    q33, q34, q44 = covariance[3, 3], covariance[3, 4], covariance[4, 4]
+    two = f4(2)
+    for k in range(out.shape[1]):
+        cosine, sine = estimate[1, k], estimate[2, k]
+        square = max(cosine * cosine + sine * sine, f4(1e-12))
+        modulation = np.sqrt(square)
+        e0, e1 = cosine / modulation, sine / modulation
+        along = max(e0 * e0 * q33 + two * e0 * e1 * q34 + e1 * e1 * q44, f4(1e-30))
+        across = e1 * e1 * q33 - two * e0 * e1 * q34 + e0 * e0 * q44
+        mixed = e0 * e1 * (q44 - q33) + (e0 * e0 - e1 * e1) * q34
+        phase = e1 * e1 * q11 - two * e0 * e1 * q12 + e0 * e0 * q22
+        to_along = e0 * (e0 * q23 - e1 * q13) + e1 * (e0 * q24 - e1 * q14)
+        to_across = e0 * (e0 * q24 - e1 * q14) - e1 * (e0 * q23 - e1 * q13)
+        out[0, k] = estimate[0, k]
+        out[1, k] = modulation
+        out[2, k] = find_angle(sine, cosine)
+        out[3, k] = (cosine * estimate[4, k] - sine * estimate[3, k]) / square
+        out[4, k] = phase - to_along * to_along / along
+        out[5, k] = across - mixed * mixed / along
+        out[6, k] = to_across - to_along * mixed / along
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -148,55 +199,28 @@ def fit_drifting(frames: np.ndarray, tables: CellTables, out: np.ndarray) -> Non
         levels of variance 1 the variances of phase and drift and their covariance times the modulation squared.
     """
     _, rows, columns = frames.shape
-    for r in prange(rows):
-        row = np.int64(r)
-        i = row // CELL
-        sums, estimate, again = np.empty((5, CELL), f4), np.empty(5, f4), np.empty(5, f4)
+    for block in prange(-(-rows // CELL)):
+        i = np.int64(block)
+        top = i * CELL
+        high = min(CELL, rows - top)
+        sums, estimate = np.zeros((5, CELL * CELL), f4), np.zeros((5, CELL * CELL), f4)
+        work, fitted = np.zeros((4, CELL * CELL), f4), np.zeros((7, CELL * CELL), f4)
         for j in range(-(-columns // CELL)):
             first = j * CELL
             size = min(CELL, columns - first)
             covariance, higher = tables.covariance[i, j], tables.higher[i, j]
-            _apply(tables.filters[i, j], frames, row, first, sums[:, :size])
-            for c in range(size):
-                for p in range(5):
-                    estimate[p] = sums[p, c]
-                _hold_modulation(estimate, covariance)
-                for _ in range(2):
-                    cosine, sine = estimate[1], estimate[2]
-                    square = max(cosine * cosine + sine * sine, f4(1e-12))
-                    drift = (cosine * estimate[4] - sine * estimate[3]) / square
-                    second, third = drift * drift, drift * drift * drift
-                    for p in range(5):
-                        again[p] = (
-                            sums[p, c]
-                            + second * (cosine * higher[p, 0] + sine * higher[p, 1])
-                            + third * (cosine * higher[p, 3] - sine * higher[p, 2])
-                        )
-                    _hold_modulation(again, covariance)
-                    for p in range(5):
-                        estimate[p] = again[p]
-                cosine, sine = estimate[1], estimate[2]
-                square = max(cosine * cosine + sine * sine, f4(1e-12))
-                modulation = np.sqrt(square)
-                e0, e1 = cosine / modulation, sine / modulation
-                along = e0 * e0 * covariance[3, 3] + f4(2) * e0 * e1 * covariance[3, 4] + e1 * e1 * covariance[4, 4]
-                across = e1 * e1 * covariance[3, 3] - f4(2) * e0 * e1 * covariance[3, 4] + e0 * e0 * covariance[4, 4]
-                mixed = e0 * e1 * (covariance[4, 4] - covariance[3, 3]) + (e0 * e0 - e1 * e1) * covariance[3, 4]
-                phase = e1 * e1 * covariance[1, 1] - f4(2) * e0 * e1 * covariance[1, 2] + e0 * e0 * covariance[2, 2]
-                to_along = e0 * (e0 * covariance[2, 3] - e1 * covariance[1, 3]) + e1 * (
-                    e0 * covariance[2, 4] - e1 * covariance[1, 4]
-                )
-                to_across = e0 * (e0 * covariance[2, 4] - e1 * covariance[1, 4]) - e1 * (
-                    e0 * covariance[2, 3] - e1 * covariance[1, 3]
-                )
-                along = max(along, f4(1e-30))
-                out[0, row, first + c] = estimate[0]
-                out[1, row, first + c] = modulation
-                out[2, row, first + c] = find_angle(sine, cosine)
-                out[3, row, first + c] = (cosine * estimate[4] - sine * estimate[3]) / square
-                out[4, row, first + c] = phase - to_along * to_along / along
-                out[5, row, first + c] = across - mixed * mixed / along
-                out[6, row, first + c] = to_across - to_along * mixed / along
+            for r in range(high):
+                _apply(tables.filters[i, j], frames, top + r, first, sums[:, r * CELL : r * CELL + size])
+            estimate[:] = sums
+            _hold_modulation(estimate, covariance, work[0])
+            for _ in range(2):
+                _add_higher(sums, estimate, higher, work)
+                _hold_modulation(estimate, covariance, work[0])
+            _propagate(estimate, covariance, fitted)
+            for p in range(7):
+                for r in range(high):
+                    for c in range(size):
+                        out[p, top + r, first + c] = fitted[p, r * CELL + c]
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")

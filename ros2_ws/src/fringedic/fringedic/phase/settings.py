@@ -39,6 +39,8 @@ class PhaseSettings:
         is half as much again as the noise of 8 shifts at one grey level (0.0021 fringe).
     largest_motion
         Motion across the image during the finest fringes [px] that is allowed.
+    largest_misfit
+        Variance of the residuals over that of the noise that a moving stack may have, see `demodulate_moving`.
     region
         Part of the image that shows the specimen; the checks use no other pixels. The phase is measured everywhere.
 
@@ -57,6 +59,7 @@ class PhaseSettings:
     lens_blur: float = 0.0
     largest_error: float = 0.003
     largest_motion: float = 0.2
+    largest_misfit: float = 2.0
     region: Region | None = None
 
 

@@ -6,6 +6,9 @@ from .parameters import PhaseParameters as PhaseParameters
 from .phase import phase_step as phase_step
 from .pipeline import OfflinePipeline as OfflinePipeline
 from .shape_tracker import ShapeTracker as ShapeTracker
+from .stack_motion import MovingPhase as MovingPhase
+from .stack_motion import measure_moving_phase as measure_moving_phase
+from .stack_motion import motion_between as motion_between
 from .step_results import CouplingResult as CouplingResult
 from .step_results import DicResult as DicResult
 from .step_results import PhaseResult as PhaseResult

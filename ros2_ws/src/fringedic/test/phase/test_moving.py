@@ -11,7 +11,7 @@ import xarray as xr
 from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
-from fringedic.phase import ImageMotion, PhaseSettings, absolute_phase, demodulate_moving
+from fringedic.phase import ImageMotion, PhaseSettings, absolute_phase, check_shifts, demodulate_moving, plan_shifts
 
 SCENES = Path(__file__).resolve().parents[5] / "benchmarks" / "moving_scenes" / "scene.py"
 specification = importlib.util.spec_from_file_location("moving_scene", SCENES)
@@ -177,3 +177,22 @@ def test_white_frames_are_ignored_and_wrong_arguments_are_named() -> None:
         demodulate_moving(frames[:, :-1], times, patterns, still, SETTINGS)
     with pytest.raises(PhaseError, match="needs 5 or more"):
         demodulate_moving(frames[:8], times[:8], patterns[:8], still, SETTINGS)
+
+
+@pytest.mark.parametrize("speed", [-3.0, -1.5, -0.25, 0.0, 0.5, 1.5, 2.25, 3.0])
+def test_planned_shifts_are_as_good_as_at_rest(speed: float) -> None:
+    drift = 2 * np.pi * speed / PITCH
+    plan = plan_shifts(drift, 8, uncertainty=0.1)
+    assert plan.noise < 1.15
+    assert not plan.follows
+    angles = 2 * np.pi * np.array(plan.order) / plan.shifts
+    assert check_shifts(angles.tolist(), drift, uncertainty=0.1) == pytest.approx(plan.condition)
+    if speed == 1.5:
+        assert not plan_shifts(drift, 8, shifts=[8]).follows
+        with pytest.raises(PhaseError, match=r"0\.125 fringes per frame"):
+            check_shifts([2 * np.pi * k / 8 for k in range(8)], drift)
+
+
+def test_shifts_that_do_not_fit_the_number_of_frames_are_refused() -> None:
+    with pytest.raises(PhaseError, match="7 frames are not whole cycles of 4, 6 shifts"):
+        plan_shifts(0.0, 7, shifts=[4, 6])
