@@ -4,5 +4,10 @@ from .fringe_scene import FringeScene as FringeScene
 from .load_frame import CrossheadState as CrossheadState
 from .load_frame import LoadSample as LoadSample
 from .load_frame import SimulatedLoadFrame as SimulatedLoadFrame
+from .motions import ConstantRate as ConstantRate
+from .motions import Creep as Creep
+from .motions import Ramp as Ramp
+from .motions import Sine as Sine
+from .motions import StickSlip as StickSlip
 from .projector_timing import pattern_weights as pattern_weights
 from .rig import VirtualRig as VirtualRig

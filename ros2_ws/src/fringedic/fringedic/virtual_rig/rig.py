@@ -22,6 +22,7 @@ from fringedic.virtual_rig.configuration import (
     VirtualRigConfiguration,
     preset,
 )
+from fringedic.virtual_rig.motions import Motion
 from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
 from fringedic.virtual_rig.specimens import make_surface
 from fringedic.virtual_rig.texture import make_texture, reflectance_at
@@ -242,6 +243,50 @@ class VirtualRig:
         position, frame, exposure_factor
             See `expose`, also for result and errors.
         """
+        return self._sense(self._level(parts, position), exposure_factor, frame)
+
+    def expose_moving(
+        self,
+        projector_image: NDArray[np.uint8],
+        motion: Motion,
+        time: float,
+        exposure_time: float,
+        frame: int,
+        *,
+        instants: int = 5,
+    ) -> NDArray[np.unsignedinteger]:
+        """Take one picture while the crosshead moves: the mean of several instants of the exposure (motion blur).
+
+        Parameters
+        ----------
+        projector_image, frame
+            See `expose`, also for result and errors.
+        motion
+            Position of the crosshead as a function of time.
+        time, exposure_time
+            Middle and duration of the exposure [s].
+        instants
+            Number of instants, at the middles of equal parts of the exposure.
+
+        Examples
+        --------
+        >>> from fringedic.virtual_rig import ConstantRate
+        >>> rig = VirtualRig.from_preset("plate", size="tiny")
+        >>> white = np.full(rig.projector_shape, 250, np.uint8)
+        >>> still = rig.expose_moving(white, ConstantRate(start=1e-4, rate=0.0), time=2.0, exposure_time=0.01, frame=0)
+        >>> bool((still == rig.expose(white, position=1e-4, frame=0)).all())
+        True
+        """
+        moments = time + exposure_time * ((np.arange(instants) + 0.5) / instants - 0.5)
+        positions = [motion.position(float(moment)) for moment in moments]
+        parts = [(projector_image, 1.0)]
+        if max(positions) == min(positions):
+            return self._sense(self._level(parts, positions[0]), 1.0, frame)
+        levels = np.mean([self._level(parts, position) for position in positions], axis=0, dtype=np.float64)
+        return self._sense(levels.astype(np.float32), 1.0, frame)
+
+    def _level(self, parts: Sequence[tuple[NDArray[np.uint8], float]], position: float) -> NDArray[np.float32]:
+        """Return the grey levels of a sharp lens without noise, for the exposure time of the white level."""
         view = self.view(position)
         light = np.zeros(self.shape, np.float32)
         for projector_image, weight in parts:
@@ -252,9 +297,13 @@ class VirtualRig:
                 )
             if weight > 0.0:
                 light += np.float32(weight) * self._light(view, projector_image)
+        return view.gain * light + view.offset
+
+    def _sense(self, level: NDArray[np.float32], exposure_factor: float, frame: int) -> NDArray[np.unsignedinteger]:
+        """Return the frame of the sensor behind the lens."""
         sensor = self.configuration.sensor
         image = np.empty(self.shape, np.uint8 if sensor.bits == 8 else np.uint16)
-        level = np.float32(exposure_factor) * (view.gain * light + view.offset)
+        level = np.float32(exposure_factor) * level
         if sensor.lens_blur_px > 0.0:
             level = gaussian_filter(level, sensor.lens_blur_px, mode="nearest")
         exposure.expose_sensor(
