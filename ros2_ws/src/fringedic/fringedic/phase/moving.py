@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import xarray as xr
 
@@ -41,7 +42,7 @@ _LARGEST_REST = 0.7  # [rad] by which a pixel's phase may leave that of its cell
 _LARGEST_RELATIVE = 0.15  # residuals over modulation, where the noise is not known
 _ONE_FRAME = 0.7  # of the way from an equal share of the residuals to all of them
 _SMALLEST_CONTRAST = 0.5  # that motion blur leaves
-_FEWEST_VALID = 0.01  # of the pixels with modulation
+_NEIGHBOURS = 2 * CELL + 1  # [px]: the noise of their mean drift does not matter
 
 
 @dataclass(frozen=True)
@@ -333,7 +334,7 @@ def _fit_finest(stack: _Aligned, within: DriftRange, noise: CameraNoise | None) 
     curvature = sigma_curvature = np.zeros_like(cell_drift)
     accelerated = False
     shape = frames.shape[1:]
-    maps = np.empty((7, *shape), f4)
+    maps = np.empty((8, *shape), f4)
     reach = float(np.abs(shown.times).max())
     mean_gain = spread(gain.mean(axis=-1), shape)
     for _ in range(3):
@@ -446,7 +447,7 @@ def _unwrap(
     deviation, (_, modulation, wrapped, drift, *_) = fit.deviation.astype(f4), fit.maps
     sigma = fit.sigma
     sigma_drift = deviation * np.sqrt(np.maximum(fit.maps[5], 0)) / np.maximum(modulation, f4(1e-6))
-    texture = fit.maps[0] * f4(layout.counts[-1])
+    texture = _mean_with_even_drift(fit) * f4(layout.counts[-1])
     with np.errstate(invalid="ignore"):
         good = fit.usable & (modulation > max(minimum_modulation, 0)) & (CONFIDENCE * sigma < 1)
     phases, variances = [], []
@@ -482,6 +483,14 @@ def _unwrap(
     if prediction is not None:
         phase = _follow(phase, sigma, good, prediction, absolute=len(pitches) > 1)
     return phase, texture / f4(sum(layout.counts)), good
+
+
+def _mean_with_even_drift(fit: _Fit) -> np.ndarray:
+    """Return the mean of the finest pitch for the drift that neighbours share: it is less noisy than their own."""
+    around = (_NEIGHBOURS, _NEIGHBOURS)
+    drift = np.where(fit.usable, fit.maps[3], f4(0))
+    shared = cv2.blur(drift, around) / np.maximum(cv2.blur(fit.usable.astype(f4), around), 1e-3)
+    return np.where(fit.usable, fit.maps[0] + fit.maps[7] * (shared - fit.maps[3]), fit.maps[0]).astype(f4)
 
 
 def _follow(

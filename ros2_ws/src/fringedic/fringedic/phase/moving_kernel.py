@@ -91,7 +91,7 @@ def align_frame(
             )
         for c in range(columns, whole):
             along_x[c], along_y[c], keys[c] = along_x[columns - 1], along_y[columns - 1], keys[columns - 1]
-        interpolate_block(coefficients, weights, row, 0, along_x, along_y, keys, grey)
+        interpolate_block(coefficients, weights, row, 0, along_x, along_y, keys, grey)  # type: ignore[arg-type]
         for c in range(columns):
             value = grey[c]
             if value == value:
@@ -103,7 +103,7 @@ def align_frame(
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _apply(filters: np.ndarray, frames: np.ndarray, row: int, first: int, out: np.ndarray) -> None:
+def _apply(filters: np.ndarray, frames: np.ndarray, row: np.int64, first: int, out: np.ndarray) -> None:
     """Multiply the grey levels of the pixels of a cell in one row by the filters, out (parameter, pixel)."""
     size = out.shape[1]
     for p in range(filters.shape[0]):
@@ -156,10 +156,11 @@ def _add_higher(sums: np.ndarray, estimate: np.ndarray, higher: np.ndarray, work
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _propagate(estimate: np.ndarray, covariance: np.ndarray, out: np.ndarray) -> None:
-    """Return mean, modulation, phase, drift and the variances of `fit_drifting` of each pixel, out (7, pixel)."""
+    """Return mean, modulation, phase, drift and the variances of `fit_drifting` of each pixel, out (8, pixel)."""
     q11, q12, q22 = covariance[1, 1], covariance[1, 2], covariance[2, 2]
     q13, q14, q23, q24 = covariance[1, 3], covariance[1, 4], covariance[2, 3], covariance[2, 4]
     q33, q34, q44 = covariance[3, 3], covariance[3, 4], covariance[4, 4]
+    q03, q04 = covariance[0, 3], covariance[0, 4]
     two = f4(2)
     for k in range(out.shape[1]):
         cosine, sine = estimate[1, k], estimate[2, k]
@@ -179,6 +180,8 @@ def _propagate(estimate: np.ndarray, covariance: np.ndarray, out: np.ndarray) ->
         out[4, k] = phase - to_along * to_along / along
         out[5, k] = across - mixed * mixed / along
         out[6, k] = to_across - to_along * mixed / along
+        mean = e0 * q04 - e1 * q03 - (e0 * q03 + e1 * q04) * mixed / along
+        out[7, k] = mean * modulation / max(out[5, k], f4(1e-30))
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -195,8 +198,9 @@ def fit_drifting(frames: np.ndarray, tables: CellTables, out: np.ndarray) -> Non
     tables
         Of this pitch, with five parameters.
     out
-        Float32, shape (7, row, column): mean, modulation, phase at time 0, drift beyond that of the cell, and for grey
-        levels of variance 1 the variances of phase and drift and their covariance times the modulation squared.
+        Float32, shape (8, row, column): mean, modulation, phase at time 0, drift beyond that of the cell, for grey
+        levels of variance 1 the variances of phase and drift and their covariance times the modulation squared, and the
+        change of the mean for a change of the drift.
     """
     _, rows, columns = frames.shape
     for block in prange(-(-rows // CELL)):
@@ -204,7 +208,7 @@ def fit_drifting(frames: np.ndarray, tables: CellTables, out: np.ndarray) -> Non
         top = i * CELL
         high = min(CELL, rows - top)
         sums, estimate = np.zeros((5, CELL * CELL), f4), np.zeros((5, CELL * CELL), f4)
-        work, fitted = np.zeros((4, CELL * CELL), f4), np.zeros((7, CELL * CELL), f4)
+        work, fitted = np.zeros((4, CELL * CELL), f4), np.zeros((8, CELL * CELL), f4)
         for j in range(-(-columns // CELL)):
             first = j * CELL
             size = min(CELL, columns - first)
@@ -217,7 +221,7 @@ def fit_drifting(frames: np.ndarray, tables: CellTables, out: np.ndarray) -> Non
                 _add_higher(sums, estimate, higher, work)
                 _hold_modulation(estimate, covariance, work[0])
             _propagate(estimate, covariance, fitted)
-            for p in range(7):
+            for p in range(8):
                 for r in range(high):
                     for c in range(size):
                         out[p, top + r, first + c] = fitted[p, r * CELL + c]

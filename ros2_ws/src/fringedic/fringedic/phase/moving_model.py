@@ -108,7 +108,7 @@ class DriftRange:
 
     def condition_at(self, drift: np.ndarray) -> np.ndarray:
         """Return the condition number at drifts [rad per interval]; infinite beyond the range."""
-        return np.interp(drift, self.drifts, self.conditions, left=np.inf, right=np.inf)
+        return np.asarray(np.interp(drift, self.drifts, self.conditions, left=np.inf, right=np.inf))
 
 
 def find_drift(samples: np.ndarray, shown: Shown, within: DriftRange) -> np.ndarray:
@@ -184,7 +184,8 @@ def interpolation_gain(displacement: np.ndarray) -> np.ndarray:
     """Return the variance of white noise after the interpolation at displacements (2, ...) [px] over that before."""
     table = tabulate_noise_gain(_GAIN_STEPS)
     places = np.linspace(0, 1, _GAIN_STEPS + 1)
-    return np.interp(displacement[0] % 1, places, table) * np.interp(displacement[1] % 1, places, table)
+    along, down = (np.interp(each % 1, places, table) for each in displacement)
+    return np.asarray(along * down)
 
 
 def at_cells(values: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ class Residuals:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of a pixel."""
-        return self.levels.shape[1] - _PARAMETERS
+        return int(self.levels.shape[1]) - _PARAMETERS
 
     @property
     def unexplained(self) -> np.ndarray:

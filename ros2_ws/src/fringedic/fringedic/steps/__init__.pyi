@@ -3,6 +3,7 @@ from .displacement_tracker import white_texture as white_texture
 from .parameters import CouplingParameters as CouplingParameters
 from .parameters import DicParameters as DicParameters
 from .parameters import PhaseParameters as PhaseParameters
+from .phase import moving_phase_step as moving_phase_step
 from .phase import phase_step as phase_step
 from .pipeline import OfflinePipeline as OfflinePipeline
 from .shape_tracker import ShapeTracker as ShapeTracker

@@ -9,14 +9,74 @@ from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.collector import Stack
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import PatternKind
+from fringedic.phase import ImageMotion
 from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.references import check_fraction
 from fringedic.steps.remarks import Correction, CorrectionKind
+from fringedic.steps.stack_motion import measure_moving_phase
 from fringedic.steps.step_results import PhaseResult
 
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
+
+
+def moving_phase_step(
+    stack: Stack, parameters: PhaseParameters, *, initial: ImageMotion | None = None, drift: float = 0.0
+) -> PhaseResult:
+    """Measure the phase of a stack during which the surface moves, at the middle of its finest pitch.
+
+    Trackers of displacement and shape take the result like that of a step at rest.
+
+    Parameters
+    ----------
+    stack
+        Fringe frames, and white frames before and after those of the finest pitch.
+    parameters
+        Noise, limits and the smallest valid part.
+    initial, drift
+        See `measure_moving_phase`.
+
+    Returns
+    -------
+    PhaseResult
+        Its stamp is the middle time; ``maps`` contains ``drift`` and ``sigma_drift`` [rad/s] beside the others.
+
+    Raises
+    ------
+    StepError, PhaseError, ImageError
+        See `measure_moving_phase`; less of the image has a phase than the parameters require (`TOO_FEW_VALID`).
+    """
+    first = stack.records[0].stamp
+    times = np.array([1e-9 * (record.stamp - first) for record in stack.records])
+    try:
+        measured = measure_moving_phase(
+            stack.frames,
+            times,
+            stack.patterns,
+            _settings(parameters),
+            initial=initial,
+            drift=drift,
+            exposure_time=max(stack.exposure_times),
+        ).maps
+    except StepError as error:
+        raise StepError(
+            error.reason, experiment=stack.experiment, step=stack.step, index=error.index, code=error.code
+        ) from error
+    fraction = float(measured.valid.mean())
+    check_fraction("a phase", fraction, parameters.minimum_valid_fraction, (stack.experiment, stack.step))
+    texture = measured.texture.where(_lit_region(measured.valid.values))
+    finest = next(each for each in reversed(stack.patterns) if each.kind == PatternKind.FRINGES)
+    return PhaseResult(
+        experiment=stack.experiment,
+        step=stack.step,
+        stamp=first + round(1e9 * measured.attrs["time"]),
+        maps=measured[["phase", "sigma", "modulation", "drift", "sigma_drift"]].assign(texture=texture),
+        pitch=finest.pitch,
+        orientation=finest.orientation,
+        valid_fraction=fraction,
+        rms=float(np.nanmedian(measured.sigma.values)),
+    )
 
 
 def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
