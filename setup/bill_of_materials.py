@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 FOLDER = Path(__file__).parent
@@ -63,12 +64,12 @@ class Package:
             installed = metadata.distribution(self.name)
         except metadata.PackageNotFoundError:
             return [ELSEWHERE[self.name]] if self.name in ELSEWHERE else []
-        stated = installed.metadata
+        stated: Any = installed.metadata  # a mapping by its documentation, not by its type
         if expression := stated.get("License-Expression"):
             return [expression]
         classifiers = [each.split(" :: ") for each in stated.get_all("Classifier") or []]
         names = [each[-1] for each in classifiers if each[0] == "License" and each[-1] != "DFSG approved"]
-        names = names or list(filter(_is_name, [stated.get("License") or ""]))
+        names = names or [name for name in [stated.get("License") or ""] if _is_name(name)]
         names = names or [name for file in installed.files or [] for name in _of_ros(Path(str(file.locate())))]
         return names or ([STATED_ELSEWHERE[self.name]] if self.name in STATED_ELSEWHERE else [])
 

@@ -140,12 +140,12 @@ def refuse_bombs(text: str, loader: Any = _FAST_LOADER) -> None:
     opened: list[tuple[str | None, int]] = []  # anchor of each open bracket, and the values before it
     values = repeated = 0
     for event in yaml.parse(text, loader):
-        line = event.start_mark.line + 1
+        line = event.start_mark.line + 1 if event.start_mark else 0
         if isinstance(event, AliasEvent):
             name = _excerpt(event.anchor)
             if event.anchor in (anchor for anchor, _ in opened):
                 raise InvalidYamlError(f"line {line}: &{name} contains itself")
-            size = sizes.get(event.anchor, 1)
+            size = sizes.get(event.anchor or "", 1)
             values += size
             repeated += size
             if repeated > _MOST_REPEATED:
