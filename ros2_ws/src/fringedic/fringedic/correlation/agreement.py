@@ -8,10 +8,10 @@ import numpy as np
 
 from fringedic.correlation import cell_kernels, node_kernels
 from fringedic.correlation.dense import TEXTURE, Field
-from fringedic.correlation.interpolation import tabulate_noise_gain
 from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, count_nodes
 from fringedic.correlation.window import Window
 from fringedic.errors import CorrelationError, ErrorCode
+from fringedic.frames.interpolation import tabulate_noise_gain
 
 f4 = np.float32
 

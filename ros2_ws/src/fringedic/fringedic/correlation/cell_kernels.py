@@ -10,13 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from fringedic.correlation.image_kernels import BORDER
 from fringedic.correlation.resampling_kernels import interpolate_row
+from fringedic.frames.interpolation_kernels import GROUP, interpolate_block
 
 f4 = np.float32
 
-# Pixels that are interpolated together.
-GROUP = 16
 # Columns that are processed together for all rows of a cell: their scratch arrays stay in the fastest cache.
 BLOCK = 256
 
@@ -59,97 +57,6 @@ def _sum_cells(line: np.ndarray, cell: int, out: np.ndarray) -> None:
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _interpolate_group(
-    coefficients: np.ndarray,
-    weights: np.ndarray,
-    corner: tuple[int, int],
-    along_x: np.ndarray,
-    along_y: np.ndarray,
-    keys: np.ndarray,
-    key: int,
-    out: np.ndarray,
-) -> None:
-    """Interpolate those pixels of a block whose integer displacement is `key`, with contiguous loads and no gathers.
-
-    `corner` is the place of the first of the 6 x 6 coefficients of the first pixel. `along_x` and `along_y` are
-    distances from the middle of the six pixels, see `interpolation.WEIGHTS`.
-    """
-    top, left = corner
-    right = left + out.size + 5
-    c0, c1, c2 = coefficients[top, left:right], coefficients[top + 1, left:right], coefficients[top + 2, left:right]
-    c3, c4, c5 = coefficients[top + 3, left:right], coefficients[top + 4, left:right], coefficients[top + 5, left:right]
-    p0, p1, p2, p3, p4, p5 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3], weights[0, 4], weights[0, 5]
-    q0, q1, q2, q3, q4, q5 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3], weights[1, 4], weights[1, 5]
-    r0, r1, r2, r3, r4, r5 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3], weights[2, 4], weights[2, 5]
-    for i in range(out.size):
-        x = along_x[i]
-        y = along_y[i]
-        x2 = x * x
-        y2 = y * y
-        even0, odd0 = p0 + x2 * (p2 + x2 * p4), x * (p1 + x2 * (p3 + x2 * p5))
-        even1, odd1 = q0 + x2 * (q2 + x2 * q4), x * (q1 + x2 * (q3 + x2 * q5))
-        even2, odd2 = r0 + x2 * (r2 + x2 * r4), x * (r1 + x2 * (r3 + x2 * r5))
-        a0, a5 = even0 + odd0, even0 - odd0
-        a1, a4 = even1 + odd1, even1 - odd1
-        a2, a3 = even2 + odd2, even2 - odd2
-        even0, odd0 = p0 + y2 * (p2 + y2 * p4), y * (p1 + y2 * (p3 + y2 * p5))
-        even1, odd1 = q0 + y2 * (q2 + y2 * q4), y * (q1 + y2 * (q3 + y2 * q5))
-        even2, odd2 = r0 + y2 * (r2 + y2 * r4), y * (r1 + y2 * (r3 + y2 * r5))
-        b0, b5 = even0 + odd0, even0 - odd0
-        b1, b4 = even1 + odd1, even1 - odd1
-        b2, b3 = even2 + odd2, even2 - odd2
-        s = b0 * (a0 * c0[i] + a1 * c0[i + 1] + a2 * c0[i + 2] + a3 * c0[i + 3] + a4 * c0[i + 4] + a5 * c0[i + 5])
-        s += b1 * (a0 * c1[i] + a1 * c1[i + 1] + a2 * c1[i + 2] + a3 * c1[i + 3] + a4 * c1[i + 4] + a5 * c1[i + 5])
-        s += b2 * (a0 * c2[i] + a1 * c2[i + 1] + a2 * c2[i + 2] + a3 * c2[i + 3] + a4 * c2[i + 4] + a5 * c2[i + 5])
-        s += b3 * (a0 * c3[i] + a1 * c3[i + 1] + a2 * c3[i + 2] + a3 * c3[i + 3] + a4 * c3[i + 4] + a5 * c3[i + 5])
-        s += b4 * (a0 * c4[i] + a1 * c4[i + 1] + a2 * c4[i + 2] + a3 * c4[i + 3] + a4 * c4[i + 4] + a5 * c4[i + 5])
-        s += b5 * (a0 * c5[i] + a1 * c5[i + 1] + a2 * c5[i + 2] + a3 * c5[i + 3] + a4 * c5[i + 4] + a5 * c5[i + 5])
-        if keys[i] == key:
-            out[i] = s
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _interpolate_block(
-    coefficients: np.ndarray,
-    weights: np.ndarray,
-    row: int,
-    column: int,
-    along_x: np.ndarray,
-    along_y: np.ndarray,
-    keys: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Interpolate a block of whole groups of pixels that begins at (row, column).
-
-    `keys` contains the integer displacement of each pixel; neighbours with the same one are processed together.
-    """
-    other = 0
-    for c in range(keys.size):
-        other += keys[c] != keys[0]
-    done = 0
-    while done < keys.size:
-        key = keys[done]
-        begin = done - done % GROUP
-        if other == 0:
-            done = keys.size
-        while done < keys.size and keys[done] == key:
-            done += 1
-        end = min(done + (GROUP - 1) - (done - 1 + GROUP) % GROUP, keys.size)
-        top = row + (key >> 15) - 16384 + BORDER - 2
-        left = column + begin + (key & 32767) - 16384 + BORDER - 2
-        _interpolate_group(
-            coefficients,
-            weights,
-            (top, left),
-            along_x[begin:end],
-            along_y[begin:end],
-            keys[begin:end],
-            key,
-            out[begin:end],
-        )
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _compute_residual(
     images: ImagePair,
     lines: np.ndarray,
@@ -188,7 +95,7 @@ def _compute_residual(
         along_x[c] = x - fx - f4(0.5)
         key[c] += np.int32(fx) - np.int32(begin + c) + np.int32(16384)
     key[size:] = key[size - 1]
-    _interpolate_block(images.coefficients, images.weights, r, begin, along_x, along_y, key, grey)
+    interpolate_block(images.coefficients, images.weights, r, begin, along_x, along_y, key, grey)
     source = images.values[r, begin : begin + size]
     for c in range(size):
         out[c] = source[c] - gain[c] * grey[c] - offset[c]

@@ -30,12 +30,12 @@ import numpy as np
 from fringedic.correlation import cell_kernels, node_kernels, resampling_kernels
 from fringedic.correlation.affine import AffineFrame, fit_motion, make_affine_nodes
 from fringedic.correlation.images import Photometry
-from fringedic.correlation.interpolation import WEIGHTS
 from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, change_level, count_nodes, find_level, fit_spline
 from fringedic.correlation.start import WIDEST, estimate_global_motion
 from fringedic.correlation.transfer import NARROWER, ORDER
 from fringedic.correlation.window import Window, design_window, window_at_level
 from fringedic.errors import CorrelationError, ErrorCode
+from fringedic.frames.interpolation import WEIGHTS
 
 f4 = np.float32
 

@@ -11,9 +11,6 @@ from numba import njit, prange
 
 f4 = np.float32
 
-# [px], NaN border of the spline coefficients: a group of 16 pixels that are interpolated together may reach into it.
-BORDER = 24
-
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def normalise(image: np.ndarray, offset: float, factor: float, out: np.ndarray) -> None:
@@ -139,74 +136,6 @@ def fill_isolated(image: np.ndarray, out: np.ndarray) -> None:
                 along, across = _interpolate_gap(image[r], c), _interpolate_gap(image[:, c], r)
                 value = along if across != across else across if along != along else f4(0.5) * (along + across)
             out[r, c] = value
-
-
-@njit(nogil=True, error_model="numpy")
-def _mirror(index: int, size: int) -> int:
-    """Return the index inside a line of pixels that is mirrored repeatedly at its first and last one."""
-    index = abs(index) % (2 * size - 2)
-    return index if index < size else 2 * size - 2 - index
-
-
-@njit(nogil=True, error_model="numpy")
-def _scale(factor: np.float32, line: np.ndarray, out: np.ndarray) -> None:
-    for c in range(out.size):
-        out[c] = factor * line[c]
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _add_pairs(
-    taps: np.ndarray,
-    a: np.ndarray,
-    b: np.ndarray,
-    c: np.ndarray,
-    d: np.ndarray,
-    e: np.ndarray,
-    f: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Add three taps of a symmetric filter, each times the sum of the two lines at its distance."""
-    p, q, s = taps[0], taps[1], taps[2]
-    for k in range(out.size):
-        out[k] += p * (a[k] + b[k]) + q * (c[k] + d[k]) + s * (e[k] + f[k])
-
-
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
-def fit_spline(image: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
-    """Compute the coefficients of the spline through the pixels of an image without NaN, mirrored at its edges.
-
-    `taps` is the (symmetric, truncated) inverse of the sampled kernel from its centre on. `out` has a border of BORDER
-    pixels on every side, which is not changed.
-    """
-    rows, columns = image.shape
-    reach = taps.size - 1
-    for r in prange(rows):
-        line = np.empty(columns + 2 * reach, f4)
-        body = line[reach : reach + columns]
-        _scale(taps[0], image[r], body)
-        for k in range(1, reach + 1, 3):
-            a, b, c = k, k + 1, k + 2
-            _add_pairs(
-                taps[k : k + 3],
-                image[_mirror(r - a, rows)], image[_mirror(r + a, rows)],
-                image[_mirror(r - b, rows)], image[_mirror(r + b, rows)],
-                image[_mirror(r - c, rows)], image[_mirror(r + c, rows)],
-                body,
-            )  # fmt: skip
-        for k in range(1, reach + 1):
-            line[reach - k] = line[reach + k]
-            line[reach + columns - 1 + k] = line[reach + columns - 1 - k]
-        target = out[r + BORDER, BORDER : BORDER + columns]
-        _scale(taps[0], body, target)
-        for k in range(1, reach + 1, 3):
-            m, n = reach - k, reach + k
-            _add_pairs(
-                taps[k : k + 3],
-                line[m : m + columns], line[n : n + columns],
-                line[m - 1 : m - 1 + columns], line[n + 1 : n + 1 + columns],
-                line[m - 2 : m - 2 + columns], line[n + 2 : n + 2 + columns],
-                target,
-            )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")

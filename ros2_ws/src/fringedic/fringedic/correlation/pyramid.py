@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fringedic.correlation import image_kernels, node_kernels, resampling_kernels
-from fringedic.correlation.interpolation import INVERSE
+from fringedic.frames import interpolation_kernels
+from fringedic.frames.interpolation import INVERSE
+from fringedic.frames.interpolation_kernels import BORDER
 
 f4 = np.float32
 
@@ -72,24 +74,23 @@ def fit_spline(image: np.ndarray) -> np.ndarray:
     the filling decreases by .54 per pixel; the coefficients of the pixels next to it are set to NaN.
     """
     rows, columns = image.shape
-    border = image_kernels.BORDER
-    out = np.full((rows + 2 * border, columns + 2 * border), np.nan, dtype=f4)
+    out = np.full((rows + 2 * BORDER, columns + 2 * BORDER), np.nan, dtype=f4)
     missing = np.isnan(image)
     if missing.any():
         whole = np.empty_like(image)
         image_kernels.fill_isolated(image, whole)
         image, missing = whole, np.isnan(whole)
     if not missing.any():
-        image_kernels.fit_spline(image, INVERSE, out)
+        interpolation_kernels.fit_spline(image, INVERSE, out)
         return out
-    image_kernels.fit_spline(inpaint(image[None])[0], INVERSE, out)
+    interpolation_kernels.fit_spline(inpaint(image[None])[0], INVERSE, out)
     near = missing.copy()
     near[1:] |= missing[:-1]
     near[:-1] |= missing[1:]
     across = near.copy()
     across[:, 1:] |= near[:, :-1]
     across[:, :-1] |= near[:, 1:]
-    out[border:-border, border:-border][across] = np.nan
+    out[BORDER:-BORDER, BORDER:-BORDER][across] = np.nan
     return out
 
 

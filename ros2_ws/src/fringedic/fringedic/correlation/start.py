@@ -15,7 +15,6 @@ import scipy.fft
 
 from fringedic.correlation import cell_kernels, image_kernels, resampling_kernels
 from fringedic.correlation.affine import make_affine_nodes
-from fringedic.correlation.interpolation import WEIGHTS
 from fringedic.correlation.keypoints import match_keypoints
 from fringedic.correlation.pyramid import (
     Level,
@@ -27,6 +26,7 @@ from fringedic.correlation.pyramid import (
     prepare_level,
     remove_shading,
 )
+from fringedic.frames.interpolation import WEIGHTS
 
 f4 = np.float32
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fringedic.correlation import cell_kernels, image_kernels, measure_displacement, node_kernels, resampling_kernels
+from fringedic.frames import interpolation_kernels
 from fringedic.warm_up.pipeline import warm_up
 
 MEASURE = """
@@ -33,7 +34,7 @@ for threads in (1, 2, 3):
 
 KERNELS = {
     name: kernel
-    for module in (image_kernels, resampling_kernels, cell_kernels, node_kernels)
+    for module in (image_kernels, interpolation_kernels, resampling_kernels, cell_kernels, node_kernels)
     for name, kernel in vars(module).items()
     if hasattr(kernel, "signatures")
 }
