@@ -222,8 +222,8 @@ def _move_back(
     moved = map_coordinates(filled, places, order=5, mode="constant", output=f4)
     seen = map_coordinates(known.astype(f4), places, order=1, mode="constant") > 1 - 1e-3
     inside = map_coordinates(measured.astype(f4), points, order=1, mode="nearest") > 0.5
-    near = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-    near = near <= _BEYOND * int(field.attrs["window_px"])
+    beyond = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    near = np.asarray(beyond <= _BEYOND * int(field.attrs["window_px"]))
     height, width = deformed.shape  # the spline is not known as well next to the ends of the image
     y, x = places
     near &= (x > _END) & (x < width - 1 - _END) & (y > _END) & (y < height - 1 - _END)

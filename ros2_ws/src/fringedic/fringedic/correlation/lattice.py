@@ -277,7 +277,7 @@ def shift_by_repetition(
         Distance of its points [px].
     """
     rows, columns = np.indices(displacement.shape[1:], f4)
-    x, y = columns + f4(shift[0] / spacing), rows + f4(shift[1] / spacing)
+    x, y = (np.asarray(each + f4(part / spacing)) for each, part in zip((columns, rows), shift, strict=True))
     nothing = float("nan")
     there = [
         cv2.remap(part.astype(f4), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)

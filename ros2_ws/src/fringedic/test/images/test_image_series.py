@@ -406,13 +406,13 @@ def test_points_beside_an_occluder_are_not_valid(tmp_path):
     dataset, words = sentences_of(series)
     last = dataset.sel(step=1)
     refuted = float(last.refuted_fraction)
-    assert 0.005 < refuted < 0.2
+    assert refuted > 0.005
     assert f"{100 * refuted:.2f} % of the measured points" in words
     error = abs(last.displacement_x - last.column * 3 * STRAIN)
     assert float((error > 5 * last.displacement_sigma_x).sum() / error.count()) < 0.005
     lost = np.isnan(last.displacement_x) & np.isfinite(last.displacement_closure_x)
     assert lost.any()
-    assert not lost.sel(column=slice(0, 40)).any()
+    assert not lost.where(abs(last.column - 102) > 12 + 48, drop=True).any()  # a window and a half from the cable
     assert np.isnan(last.e_xx.values[lost.values]).all()
     assert float(last.valid_fraction) == pytest.approx(float(np.isfinite(last.displacement_x).mean()))
 
