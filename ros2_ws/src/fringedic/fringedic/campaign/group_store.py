@@ -20,6 +20,7 @@ from fringedic.wording.optional_packages import optional_import
 with optional_import("campaign"):
     import zarr
     from zarr.abc.store import Store as ZarrStore
+    from zarr.codecs import Crc32cCodec, ZstdCodec
     from zarr.storage import WrapperStore
 
 _METADATA = "zarr.json"
@@ -94,7 +95,7 @@ class GroupStore:
                 dtype=str if dtype == TEXT else dtype,
                 chunks=chunks,
                 fill_value=np.nan if dtype in ("f4", "f8") else None,
-                compressors=[zarr.codecs.ZstdCodec(level=0), zarr.codecs.Crc32cCodec()],
+                compressors=[ZstdCodec(level=0), Crc32cCodec()],
                 config={"write_empty_chunks": True},  # a removed chunk is no empty one
                 dimension_names=dimensions,
                 attributes=dict(attributes),

@@ -117,8 +117,6 @@ class RunReport:
         Why the programme ended before its last step; empty when it did not.
     interrupted
         Whether Ctrl-C or a signal ended it.
-    references
-        Reference steps that the dataset was measured against anew; empty: those of the nodes.
     """
 
     experiment: str
@@ -131,7 +129,6 @@ class RunReport:
     verdict: str = ""
     ended_early: str = ""
     interrupted: bool = False
-    references: tuple[int, ...] = ()
 
     @property
     def failed(self) -> bool:

@@ -85,7 +85,6 @@ def write_results(
         target.name,
         no_errors=no_errors,
         verdict=verdict,
-        references=tuple(measure_again),
     )
 
 
@@ -106,7 +105,7 @@ def sign_results(report: RunReport, *, operator: str = "", calibration: Path | N
     str
         Why the run is not signed, as a sentence; empty when it is.
     """
-    processed = ProcessingSettings(references=report.references, experiment=report.experiment)
+    processed = ProcessingSettings(experiment=report.experiment)
     details = {
         "ended_early": report.ended_early,
         "interrupted": report.interrupted,

@@ -213,8 +213,8 @@ def sum_of(values: Any) -> str:
     if array.dtype.kind in "OSTU":
         return _crc(json.dumps(array.astype(object).tolist(), default=str).encode())
     plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-    return _crc(plain.reshape(-1).view(np.uint8))
+    return _crc(plain.reshape(-1).view(np.uint8).data)
 
 
-def _crc(data: bytes | np.ndarray) -> str:
+def _crc(data: bytes | memoryview) -> str:
     return f"{zlib.crc32(data):0{_DIGITS}x}"

@@ -177,12 +177,13 @@ class TopicServer:
 
     async def _serve(self) -> None:
         from websockets.asyncio.server import serve
+        from websockets.typing import Subprotocol
 
         silent = logging.Logger("foxglove", logging.CRITICAL + 1)  # a traceback for everything that is no request
         async with serve(
             self._converse,
             sock=self._listening,
-            subprotocols=[PROTOCOL],
+            subprotocols=[Subprotocol(PROTOCOL)],
             process_request=self._refusal,
             compression=None,
             open_timeout=SILENT_S,
@@ -231,7 +232,12 @@ class TopicServer:
 
     def _description(self) -> dict[str, Any]:
         capabilities = [] if self._span is None else ["time", "playbackControl"]
-        content = {"op": "serverInfo", "name": self._name, "capabilities": capabilities, "supportedEncodings": ["cdr"]}
+        content: dict[str, Any] = {
+            "op": "serverInfo",
+            "name": self._name,
+            "capabilities": capabilities,
+            "supportedEncodings": ["cdr"],
+        }
         content |= {"metadata": {}, "sessionId": self._session}
         for key, time_ns in zip(("dataStartTime", "dataEndTime"), self._span or (), strict=False):
             content[key] = {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}

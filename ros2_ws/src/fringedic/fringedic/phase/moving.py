@@ -386,7 +386,8 @@ def _assess(
     if noise is not None:
         residuals = residuals_of(frames, shown, maps, course, variance * gain, lit)
         misfit = residuals.misfit() if residuals is not None else np.nan
-        return np.sqrt(variance * max(misfit, 1.0) if misfit == misfit else variance), residuals, misfit
+        sigma: np.ndarray = np.sqrt(variance * max(misfit, 1.0) if misfit == misfit else variance)
+        return sigma, residuals, misfit
     residuals = residuals_of(frames, shown, maps, course, np.full(usable.shape, np.nan), lit)
     if residuals is None:
         return np.sqrt(variance), None, np.nan
@@ -396,7 +397,8 @@ def _assess(
 
 def _contrast(fit: _Fit, exposure: float) -> np.ndarray:
     """Return the part of the modulation that the motion leaves during an exposure [intervals]."""
-    return np.sinc(fit.maps[3] * exposure / (2 * np.pi))
+    contrast: np.ndarray = np.sinc(fit.maps[3] * exposure / (2 * np.pi))
+    return contrast
 
 
 def _check_fit(fit: _Fit, settings: PhaseSettings, exposure: float) -> None:
@@ -490,7 +492,8 @@ def _mean_with_even_drift(fit: _Fit) -> np.ndarray:
     around = (_NEIGHBOURS, _NEIGHBOURS)
     drift = np.where(fit.usable, fit.maps[3], f4(0))
     shared = cv2.blur(drift, around) / np.maximum(cv2.blur(fit.usable.astype(f4), around), 1e-3)
-    return np.where(fit.usable, fit.maps[0] + fit.maps[7] * (shared - fit.maps[3]), fit.maps[0]).astype(f4)
+    mean: np.ndarray = np.where(fit.usable, fit.maps[0] + fit.maps[7] * (shared - fit.maps[3]), fit.maps[0])
+    return mean.astype(f4)
 
 
 def _follow(
@@ -502,7 +505,7 @@ def _follow(
         raise ImageError(f"a prediction of {expected.shape} pixels for frames of {phase.shape}")
     turn = f4(2 * np.pi)
     orders = np.round((expected - phase) / turn)
-    near = phase + turn * orders
+    near: np.ndarray = phase + turn * orders
     with np.errstate(invalid="ignore"):
         good &= np.abs(near - expected) + f4(CONFIDENCE) * np.hypot(doubt, sigma) < np.pi
         if absolute:

@@ -282,8 +282,10 @@ class VirtualRig:
         parts = [(projector_image, 1.0)]
         if max(positions) == min(positions):
             return self._sense(self._level(parts, positions[0]), 1.0, frame)
-        levels = np.mean([self._level(parts, position) for position in positions], axis=0, dtype=np.float64)
-        return self._sense(levels.astype(np.float32), 1.0, frame)
+        levels = np.zeros(self.shape)
+        for position in positions:
+            levels += self._level(parts, position)
+        return self._sense((levels / instants).astype(np.float32), 1.0, frame)
 
     def _level(self, parts: Sequence[tuple[NDArray[np.uint8], float]], position: float) -> NDArray[np.float32]:
         """Return the grey levels of a sharp lens without noise, for the exposure time of the white level."""
