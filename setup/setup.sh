@@ -217,6 +217,7 @@ kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprin
 if ! current kernels "$kernels"; then
     # Numba compares a kernel's own file only, not those of the functions that it calls. An interrupted set-up ends the
     # compiling processes, which form a session.
+    rm -f "$stamps/kernels" # an interrupted set-up leaves none
     find ros2_ws/src -name '*.nb[ic]' -delete
     PYTHONPATH=$root/ros2_ws/src/fringedic setsid "$venv/bin/python" -m fringedic.warm_up >"$log.kernels" 2>&1 </dev/null 9>&- &
     compiling=$!
