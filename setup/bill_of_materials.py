@@ -29,12 +29,14 @@ _PINNED = re.compile(
 _LONGEST_NAME = 60  # characters of a licence's name; some packages state its whole text instead
 # Of packages whose metadata do not contain it, by their licence files
 STATED_ELSEWHERE = {"setuptools": "MIT", "ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
-# Of packages that are installed on other systems, or with another distribution of ROS 2, only
+# Of packages that are installed on other systems, for real devices, or with another distribution of ROS 2, only
 ELSEWHERE = {
     "appnope": "BSD-2-Clause",
     "colorama": "BSD-3-Clause",
     "coloredlogs": "MIT",
     "humanfriendly": "MIT",
+    "pycairo": "LGPL-2.1-only OR MPL-1.1",
+    "pygobject": "LGPL-2.1-or-later",
     "pyobjc-core": "MIT",
     "pyobjc-framework-cocoa": "MIT",
     "pyreadline3": "BSD-3-Clause",

@@ -14,7 +14,7 @@ import pytest
 SCRIPT = Path(__file__).parent.parent / "setup" / "bill_of_materials.py"
 KNOWN = {
     *("0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "LLVM-exception", "MIT", "MIT-0", "MIT-CMU"),
-    *("MPL-2.0", "PSF-2.0", "Zlib", "any-OSI"),
+    *("LGPL-2.1-only", "LGPL-2.1-or-later", "MPL-1.1", "MPL-2.0", "PSF-2.0", "Zlib", "any-OSI"),
     *(
         "Apache 2.0",
         "Apache License 2.0",
