@@ -169,7 +169,7 @@ def checksums_of(raw: xr.Dataset) -> str:
 
 def text_of(attributes: Mapping[Any, Any], variables: Mapping[str, Mapping[str, str]]) -> str:
     """Return the text of the attribute `CONTENT` from the attributes and the checksums of the variables."""
-    return json.dumps({"attributes": _sum_of_attributes(attributes), "variables": variables})
+    return json.dumps({"attributes": _sum_of_attributes(attributes), "variables": variables}, sort_keys=True)
 
 
 def _sum_of_values(variable: xr.Variable) -> str:
