@@ -166,6 +166,7 @@ class _Site:
     def __init__(self, rig: Rig, hub: Hub, wheel: Wheel) -> None:
         self._rig, self._hub, self._wheel = rig, hub, wheel
         self._texts: dict[str, tuple[Any, str]] = {}  # data of each topic, and their JSON
+        self._published: dict[str, str] = {}  # message of each topic that all clients have
 
     @contextlib.asynccontextmanager
     async def lifespan(self, _: Starlette) -> Any:
@@ -238,6 +239,7 @@ class _Site:
         for topic, text in self._topics().items():
             client.put(topic, functools.partial(str, text))
         self._offer_wheel(client)
+        self._published = {}  # this client may have another state than the one published last
         tasks = [asyncio.create_task(each) for each in (_until_closed(socket), _send(socket, client))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -249,14 +251,13 @@ class _Site:
 
     async def _publish_changes(self) -> None:
         """Publish every part of the state, and the wheel, after each change, while somebody looks."""
-        published: dict[str, str] = {}
         while True:
             await asyncio.sleep(STATE_PERIOD_S)
             if not self._hub.clients:
                 continue  # a new one receives everything
             now = self._topics() | {"wheel": repr((self._wheel.driver, self._wheel.asking, self._wheel.present))}
-            changed = {topic: text for topic, text in now.items() if published.get(topic) != text}
-            published = now
+            changed = {topic: text for topic, text in now.items() if self._published.get(topic) != text}
+            self._published = now
             if changed.pop("wheel", None) is not None:
                 for client in self._hub.clients:
                     self._offer_wheel(client)

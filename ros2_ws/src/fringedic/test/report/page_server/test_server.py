@@ -19,11 +19,12 @@ from certificate import write_certificate
 from served import TOKEN, Site, SmallRig, free_port, served
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection
 from websockets.typing import Origin
 
 from fringedic.errors import OperatorError
 from fringedic.report.page_server import server as page_server
-from fringedic.report.page_server.app import LARGEST_BODY
+from fringedic.report.page_server.app import LARGEST_BODY, STATE_PERIOD_S
 from fringedic.report.page_server.server import Address, PageServer, listen
 
 START = {"procedure": "run"}
@@ -227,6 +228,29 @@ def test_stream_starts_with_the_state_and_follows_its_changes(site: Site, cookie
         assert message["data"]["force"] == 1.5
         site.server.publish("image", lambda: b"picture")
         assert stream.recv(5) == b"picture"
+
+
+def test_a_state_that_returns_reaches_a_client_that_came_in_between(site: Site, cookie: str) -> None:
+    """What was published last, before this client came, is no news for the server but for the client."""
+
+    def force(stream: ClientConnection) -> float:
+        while (message := json.loads(stream.recv(5)))["topic"] != "rig":
+            pass
+        return float(message["data"]["force"] or 0)
+
+    states = [{"rig": {"kind": "rig", "force": force}} for force in (1.0, 2.0)]
+    site.rig.state = states[0]
+    with site.stream(cookie) as stream:
+        while force(stream) != 1.0:
+            pass
+        time.sleep(3 * STATE_PERIOD_S)
+    time.sleep(3 * STATE_PERIOD_S)
+    site.rig.state = states[1]
+    with site.stream(cookie) as stream:
+        assert force(stream) == 2.0
+        site.rig.state = states[0]
+        while force(stream) != 1.0:
+            pass
 
 
 def test_stuck_client_does_not_delay_another_nor_fill_the_memory(site: Site, cookie: str) -> None:
