@@ -240,6 +240,8 @@ def test_recorded_parameters_reach_the_nodes_unless_overridden(graph: Callable[.
     with Bag(tmp_path / "bag") as bag:
         for step, window in enumerate((24, 48)):
             value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=window)
+            # serialize_message appends bytes to a message with empty lists, which no publisher sends
+            value.integer_array_value, value.double_array_value = [0], [0.0]
             for node in ("phase", "dic"):
                 names = ("window", "parameter_of_another_version")
                 parameters = [Parameter(name=name, value=value) for name in names]

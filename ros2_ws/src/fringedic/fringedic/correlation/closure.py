@@ -253,7 +253,8 @@ def _measure_border_distance(
     fixed, moved = (_remove_shading(image, seen, measured, _FLAT * deviation) for image in images)
     apart = np.abs(moved - fixed)
     usual = float(np.quantile(apart[measured], 0.9)) / _NINE_TENTHS
-    outliers = (seen & (apart > _OUTLIER * max(usual, float(np.sqrt(_ROUNDING))))).astype(f4)
+    # of images without noise, what the interpolation leaves is no difference
+    outliers = (seen & (apart > max(_OUTLIER * usual, np.sqrt(_FOREIGN_PART)))).astype(f4)
     disagree = _smooth(outliers, deviation) > f4(_DISAGREEING) * _smooth(seen.astype(f4), deviation)
     disagree &= seen
     if not disagree.any():

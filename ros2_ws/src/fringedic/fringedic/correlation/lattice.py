@@ -26,6 +26,9 @@ f4 = np.float32
 PERIODIC = 0.6
 WIDEST = 512  # [px] of the part, or of the level, in which repetitions are sought
 _SECOND = 0.45  # the same of the second vector, which an object in front of the surface lowers
+# Of the surface, with which its texture has to agree. The few pixels that a narrow strip shares with itself across its
+# width agree by chance. An image that is known everywhere has .4 for the longest shift. test_a_narrow_strip_is_measured
+_LEAST_OVERLAP = 0.25
 _SHADING = 65  # [px], width of the local mean and contrast, which do not count as texture
 _LEAST_CONTRAST = 0.1  # of the largest one; with less an image is noise
 # Of the autocorrelation at a repetition, below which it falls before it: to 0.45 in grids and perforated plates. Along
@@ -125,7 +128,8 @@ def _autocorrelate(image: np.ndarray) -> np.ndarray:
     flat /= np.maximum(contrast, f4(_LEAST_CONTRAST) * contrast.max() + f4(1e-12))
     taper = _taper(image.shape)
     overlap = _taper_overlap(image.shape) if known.all() else _correlate(taper * known)
-    surface = _correlate(taper * flat) / np.maximum(overlap, f4(1e-3) * overlap.max())
+    enough = overlap > f4(_LEAST_OVERLAP) * overlap.max()
+    surface = np.where(enough, _correlate(taper * flat), f4(0)) / np.where(enough, overlap, f4(1))
     return np.asarray(surface / max(float(surface[tuple(n // 2 for n in surface.shape)]), 1e-12))
 
 
