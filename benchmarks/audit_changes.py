@@ -28,12 +28,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
 from fringedic.audit import Result, audit_run
 from fringedic.audit.parts import check_files, check_log, check_signature
 from fringedic.datasets import process_bag
+from fringedic.datasets.checksums import CONTENT, checksums_of
 from fringedic.errors import FringedicError
 from fringedic.evidence import begin_log, read_log
 from fringedic.evidence.keys import laboratory_key, pem_of, raw_public
@@ -191,7 +193,7 @@ def _write(contents: Made) -> None:
 
 
 def change_a_value(dataset: Path, chance: random.Random) -> str:
-    """Change the last bit of one measured number of a dataset; return the name of its variable."""
+    """Change the last bit of one measured number of a dataset, and its checksums; return the name of its variable."""
     with h5py.File(dataset, "r+") as content:
         while True:
             name = chance.choice([name for name, each in content.items() if each.ndim and each.dtype.kind == "f"])
@@ -201,7 +203,13 @@ def change_a_value(dataset: Path, chance: random.Random) -> str:
                 continue
             place = tuple(measured[chance.randrange(len(measured))])
             values[place] = np.nextafter(values[place], np.inf, dtype=values.dtype)
-            return str(name)
+            break
+    with xr.open_dataset(dataset, engine="h5netcdf", decode_cf=False, cache=False) as raw:
+        del raw.attrs[CONTENT]
+        text = checksums_of(raw)
+    with h5py.File(dataset, "r+") as content:
+        content.attrs[CONTENT] = text
+    return str(name)
 
 
 def sign_again(run: Path) -> None:

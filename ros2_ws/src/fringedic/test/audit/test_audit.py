@@ -158,8 +158,8 @@ def test_a_continued_run_has_one_entry_with_its_end_and_the_settings_of_its_resu
     with noted(run, "run continued"):
         (run / "logs").mkdir()
         (run / "logs" / "camera.log").write_text("continued")
-        process_bag(run / "bag", output=run / "results.nc", experiment="tiny", reference=0, overwrite=True)
-        report = RunReport("tiny", run, [], [], "results.nc", references=(0,), ended_early="a person stopped it")
+        process_bag(run / "bag", output=run / "results.nc", experiment="tiny", overwrite=True)
+        report = RunReport("tiny", run, [], [], "results.nc", ended_early="a person stopped it")
         assert not sign_results(report)
     first, second = read_log(run).entries
     assert (first.action, second.action) == ("run", "run continued")
