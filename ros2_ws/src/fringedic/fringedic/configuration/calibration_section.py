@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
 from fringedic.frames.sensor import SensorName
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
+from fringedic.rig.files import edited_identifier
 from fringedic.rig.model import RigModel
 from fringedic.settings.base import FILE, MILLI
+from fringedic.wording.sealed_yaml import EDITED, HASH, ChangedFileError, unsealed
 
 LATEST_CHECKS = 5  # of the calibration in the metadata of a recording
 
@@ -86,6 +88,18 @@ class CalibrationSection(Section):
     camera: CalibratedCamera = Field(description="Pin-hole model of the camera.")
     projector: CalibratedProjector = Field(description="Pin-hole model of the projector.")
     covariance_si: CovarianceSection = Field(CovarianceSection(), description="Covariance of the parameters.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_file(cls, content: Any) -> Any:
+        """Compare the numbers of a calibration file that was pasted with its hash."""
+        if not isinstance(content, dict) or not content.keys() & {HASH, EDITED}:
+            return content  # written by hand
+        try:
+            plain, edited = unsealed(content, "calibration")
+        except ChangedFileError as error:
+            raise ValueError(str(error)) from None
+        return plain | {"identifier": edited_identifier(str(plain.get("identifier", "")))} if edited else plain
 
     def rig_model(self, sensor: str) -> RigModel:
         """Return the model in SI units, that of a sensor unless the section names another one."""

@@ -123,7 +123,7 @@ def parse_rig(text: str, place: str = "calibration") -> dict[str, Any]:
         return values | {
             "camera_distortion": None if distortion is None else DistortionMap.from_dict(distortion),
             "sensor": content.get("sensor", SENSOR),
-            "identifier": _identifier(content["identifier"], edited=edited),
+            "identifier": edited_identifier(content["identifier"]) if edited else content["identifier"],
             "model": content["model"],
             "source": content["source"],
             "parameter_names": tuple(covariance["parameters"]),
@@ -137,8 +137,9 @@ def parse_rig(text: str, place: str = "calibration") -> dict[str, Any]:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
 
 
-def _identifier(text: str, *, edited: bool) -> str:
-    return f"{text} ({EDITED_WORDS})".strip() if edited and EDITED_WORDS not in text else text
+def edited_identifier(text: str) -> str:
+    """Return the identifier of a calibration whose file a person has edited, which everything made with it contains."""
+    return text if EDITED_WORDS in text else f"{text} ({EDITED_WORDS})".strip()
 
 
 def _to_people(value: float | tuple[float, ...], unit: float) -> float | list[float]:

@@ -131,8 +131,13 @@ def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     assert again.projector_rotation == pytest.approx(model.projector_rotation)
     assert (again.camera_first_column, again.camera_first_row) == (64, -1)
     assert (again.source, again.camera_distance) == (model.source, pytest.approx(model.camera_distance))
-    pasted = write(tmp_path, changed(CALIBRATED, "calibration", {**content, "sensor": "right"}), "right.yaml")
-    assert load_rig_file(pasted).rig_model.sensor == "right", "not that of the rig file"
+    other = {**content, "sensor": "right"}
+    with pytest.raises(ConfigurationError, match=r"calibration: .*its content has changed since it was written"):
+        load_rig_file(write(tmp_path, changed(CALIBRATED, "calibration", other), "right.yaml"))
+    pasted = write(tmp_path, changed(CALIBRATED, "calibration", other | {"edited": True}), "right.yaml")
+    again = load_rig_file(pasted).rig_model
+    assert again.sensor == "right", "not that of the rig file"
+    assert again.identifier == f"{model.identifier} (edited by hand)"
 
 
 def test_a_rig_with_another_calibration_has_its_model(tmp_path):
