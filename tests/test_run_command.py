@@ -261,8 +261,9 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
         ("run", True),
         ("run continued", False),
     ]
-    parts = {part.name: part.result for part in audit_run(running.bag.parent, keys=log.keys).parts}
-    assert {parts[name] for name in ("signature", "log", "files", "raw data", "results results.nc")} == {"holds"}
+    parts = {part.name: part for part in audit_run(running.bag.parent, keys=log.keys).parts}
+    assert {parts[name].result for name in ("signature", "log", "files", "results results.nc")} == {"holds"}
+    assert "36 of 36 frames, 0 lost" in parts["raw data"].found, "load samples are missing while there is no recorder"
     again = fringedic_command("run", tmp_path / "rig.yaml", "--output", running.bag.parent, "--continue")
     assert "no step of the programme is left, 3 of 3 are measured" in str(again.exception)
 
