@@ -26,6 +26,7 @@ import fringedic.figures
 import fringedic.images
 from fringedic.errors import FringedicError
 from fringedic.models import Model
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig_setup.response import response_patterns
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore:Degrees of freedom")
@@ -82,6 +83,7 @@ SHAPED = EXPERIMENT.assign(
 )
 SEQUENCE = fringedic.fringe_sequence(80, 6, [80, 10], 4)
 FRAMES = np.array([0.8 * image.astype(np.float32) + 10 for image in SEQUENCE])
+MOVING = np.array([[100 + 50 * np.cos(2 * np.pi * (np.arange(80) / 40 - k / 8))] * 40 for k in range(1, 9)], np.float32)
 ANGLES = [math.radians(angle) for angle in (0, -15, -10, 10, 15)]
 _COLUMN, _ROW = 2 * np.pi / 7.3 * np.array(np.meshgrid(np.arange(96.0), np.arange(96.0)))  # lines turned by 2 degree
 GRID = 128 + 50 * np.cos(0.9994 * _COLUMN + 0.0349 * _ROW) + 50 * np.cos(0.9994 * _ROW - 0.0349 * _COLUMN)
@@ -92,6 +94,14 @@ REGION = fringedic.Region.rectangle((2, 2), (15, 15))
 FRINGES = {"width": 80, "height": 6, "shifts": 4, "orientation": "vertical", "periods": 1}
 CALLS = {
     fringedic.demodulate: {"frames": FRAMES[:4], "shifts": 4, "noise": 1.0, "saturation": 250.0},
+    fringedic.demodulate_moving: {
+        "frames": MOVING,
+        "times": np.arange(8.0),
+        "patterns": [ProjectedPattern(PatternKind.FRINGES, pitch=40.0, shift=k, shifts=8) for k in range(1, 9)],
+        "displacement": fringedic.ImageMotion.uniform((40, 80), -1.0, 0.0),
+        "drift": -0.1,
+        "exposure_time": 0.1,
+    },
     fringedic.absolute_phase: {
         "frames": FRAMES,
         "patterns": SEQUENCE.patterns,
@@ -260,6 +270,7 @@ RETURNED = {
     "CylinderFrame",
     "ExperimentAccessor",
     "FringedicError",
+    "ImageMotion",
     "RigCalibration",
     "RigCheck",
     "SpecimenFrame",

@@ -42,6 +42,7 @@ _LARGEST_REST = 0.7  # [rad] by which a pixel's phase may leave that of its cell
 _LARGEST_RELATIVE = 0.15  # residuals over modulation, where the noise is not known
 _ONE_FRAME = 0.7  # of the way from an equal share of the residuals to all of them
 _SMALLEST_CONTRAST = 0.5  # that motion blur leaves
+_LARGEST_DRIFT = 100.0  # [rad] between two frames: sixteen fringes, whose motion no frame would resolve
 _NEIGHBOURS = 2 * CELL + 1  # [px]: the noise of their mean drift does not matter
 
 
@@ -161,11 +162,16 @@ def demodulate_moving(
     >>> round(float(measured.drift[20, 100]) * 40 / (2 * np.pi), 3)
     -1.0
     """
+    times = times.astype(np.float64)
     fringes = np.array([each.kind != PatternKind.WHITE for each in patterns], bool)
     _check(frames, times, patterns, displacement)
     layout = layout_of([each for each in patterns if each.kind != PatternKind.WHITE])
     _check_layout(layout)
     stack = _align(np.asarray(frames)[fringes], times[fringes], layout, displacement, settings.saturation)
+    if not abs(drift) * stack.unit < _LARGEST_DRIFT:
+        raise PhaseError(
+            f"a drift of {drift:.3g} rad/s is {drift * stack.unit:.3g} rad between two frames: is it in rad/s?"
+        )
     within = DriftRange.around(stack.shown[-1], drift * stack.unit)
     if within is None:
         raise PhaseError(
