@@ -8,8 +8,10 @@ attributes, of each variable, and of each step of a map.
 from __future__ import annotations
 
 import json
+import os
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,6 +62,8 @@ def open_checked(source: Any, place: str, *, netcdf: bool, **options: Any) -> xr
         # without a cache: a loop over the maps of an experiment would fill the memory
         engine = "h5netcdf" if netcdf else "zarr"
         raw = xr.open_dataset(source, engine=engine, cache=False, decode_cf=False, **options)
+        if CONTENT not in raw.attrs and isinstance(source, str | os.PathLike) and _had_checksums(Path(source)):
+            raise DatasetError(f"{place}: its attributes ('.zattrs') are missing: {AGAIN}")
         return _checked(raw, place)
     except Exception as error:  # of HDF5 and Zarr each part of a damaged file has its own
         if raw is not None:
@@ -68,6 +72,12 @@ def open_checked(source: Any, place: str, *, netcdf: bool, **options: Any) -> xr
             raise
         kind = "NetCDF" if netcdf else "Zarr"
         raise DatasetError(f"{place}: cannot be read as {kind}: {cause_of(error)}; {AGAIN}") from error
+
+
+def _had_checksums(folder: Path) -> bool:
+    """Return whether the consolidated metadata of a Zarr folder (format 2), a copy of the others, have checksums."""
+    copy = folder / ".zmetadata"
+    return copy.is_file() and CONTENT in copy.read_text("utf-8")
 
 
 def load_checked(dataset: xr.Dataset) -> None:

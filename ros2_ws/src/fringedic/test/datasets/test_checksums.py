@@ -107,6 +107,14 @@ def test_changed_texts_attributes_and_values_are_named(written, tmp_path):
             load_checked(dataset)
 
 
+def test_removed_attributes_are_named(written, tmp_path):
+    """Without them a folder would be taken for one of an earlier version, which has no checksums."""
+    copy = shutil.copytree(written / "plate.zarr", tmp_path / "plate.zarr")
+    (copy / ".zattrs").unlink()
+    with pytest.raises(DatasetError, match=r"plate\.zarr: its attributes \('\.zattrs'\) are missing: restore the file"):
+        open_experiment(copy)
+
+
 @pytest.mark.parametrize("to", ["netcdf", "zarr"])
 def test_an_export_has_checksums_of_its_own(written, tmp_path, to):
     with open_experiment(written / "plate.nc") as dataset:
