@@ -25,6 +25,7 @@ KNOWN = {
     ),
     *("ISC License (ISCL)", "MIT License", "Mozilla Public License 2.0 (MPL 2.0)", "Public Domain", "zlib License"),
     *("Python Software Foundation License", "GNU Library or Lesser General Public License (LGPL)"),
+    "GNU Lesser General Public License v2 or later (LGPLv2+)",
 }
 # docutils is in the public domain except for files that are not installed or not imported here
 OF_ONE_PACKAGE = {("docutils", "GNU General Public License (GPL)")}
