@@ -32,7 +32,7 @@ def leave_out_block_edges(level: Level, deviation: float) -> Level:
     deviation
         Standard deviation of its grey levels.
     """
-    if not deviation < FAINT or min(level.shape) < 4 * BLOCK or not min(_edge_ratios(level.values)) > STRONG:
+    if not _shows_blocks(level, deviation, FAINT, STRONG):
         return level
     along_x, along_y = level.along_x.copy(), level.along_y.copy()
     for edge in (BLOCK - 1, 0):
@@ -51,12 +51,17 @@ def explain_compression(level: Level, deviation: float) -> str:
     deviation
         Standard deviation of its grey levels.
     """
-    if not deviation < HIDDEN or min(level.shape) < 4 * BLOCK or not min(_edge_ratios(level.values)) > COMPRESSED:
+    if not _shows_blocks(level, deviation, HIDDEN, COMPRESSED):
         return ""
     return (
         "the contrast of the reference is so faint that its compression (JPEG) hides texture. Use more light or a "
         "stronger pattern, and save images without loss"
     )
+
+
+def _shows_blocks(level: Level, deviation: float, faint: float, ratio: float) -> bool:
+    """Return whether an image with a smaller deviation than `faint` has edges of blocks, in both directions."""
+    return deviation < faint and min(level.shape) >= 4 * BLOCK and min(_edge_ratios(level.values)) > ratio
 
 
 def _edge_ratios(values: np.ndarray) -> tuple[float, float]:
