@@ -195,17 +195,18 @@ if ! current environment "$environment"; then
     done_for environment "$environment"
 fi
 
-waits=$(sha256sum <setup/unlimited_wait.c)
-if [ -z "${venv_options[*]}" ] && ! current waits "$waits"; then
-    run "waits of the middleware" gcc -shared -fPIC -O2 -o "$venv/lib/unlimited_wait.so" setup/unlimited_wait.c -ldl
-    done_for waits "$waits"
-fi
+# Compiles a library that corrects the middleware, if its source has changed; setup/environment.sh loads it.
+compile_library() { # stamp, source without suffix
+    local source
+    source=$(sha256sum <"setup/$2.c")
+    if ! current "$1" "$source"; then
+        run "$1 of the middleware" gcc -shared -fPIC -O2 -o "$venv/lib/$2.so" "setup/$2.c" -ldl
+        done_for "$1" "$source"
+    fi
+}
 
-memory=$(sha256sum <setup/private_memory.c)
-if ! current memory "$memory"; then
-    run "memory of the middleware" gcc -shared -fPIC -O2 -o "$venv/lib/private_memory.so" setup/private_memory.c -ldl
-    done_for memory "$memory"
-fi
+[ -n "${venv_options[*]}" ] || compile_library waits unlimited_wait # an installed ROS 2 waits on the steady clock
+compile_library memory private_memory
 
 [ -n "${venv_options[*]}" ] || unset ROS_DISTRO # of the distribution that this environment had before
 # shellcheck source=/dev/null
