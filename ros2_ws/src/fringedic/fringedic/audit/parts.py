@@ -20,6 +20,8 @@ from fringedic.wording.numbers import counted
 
 CALIBRATION = "calibration"
 """Action of the first entry of the log of a calibration."""
+CALIBRATION_OF_RUN = "calibration"
+"""Name of the part about the calibration of a run."""
 RUN = "run"
 """Action of the first entry of the log of a run that was signed at its end."""
 _SHOWN = 5  # names in a sentence

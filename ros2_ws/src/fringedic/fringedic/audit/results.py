@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.audit.comparison import Difference, compare_bits
-from fringedic.audit.parts import Part, Result
+from fringedic.audit.parts import CALIBRATION_OF_RUN, Part, Result
 from fringedic.calibration.recorded import calibrate_recording
+from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.datasets.attributes import recorded_calibration, sensor_of
 from fringedic.datasets.confirmation import confirmed_fraction
 from fringedic.datasets.opening import RESULTS, open_experiment
@@ -111,14 +112,13 @@ def differences_words(found: Sequence[Difference]) -> str:
 
 def check_calibration_file(run: Path, entries: Sequence[Entry]) -> tuple[Part, Path | None]:
     """Compare the calibration of a run with the file that its rig file named; return that as well if it is equal."""
-    part = "calibration"
+    part = CALIBRATION_OF_RUN
     files = sorted(path for path in run.glob("calibration*.yaml") if path.is_file())
     if not files:
         return Part(part, Result.NOTE, "the run has none; displacements are in pixels"), None
     named = [entry.details["calibration_file"] for entry in entries if entry.details.get("calibration_file")]
     if not named:
-        found = "the log names no file of a calibration: its numbers are in the rig file, or are those of a virtual rig"
-        return Part(part, Result.OPEN, found, "measure the calibration, and name its file in the rig file"), None
+        return _given_geometry(files), None
     source = Path(named[-1])
     if not source.is_file():
         return Part(
@@ -136,6 +136,27 @@ def check_calibration_file(run: Path, entries: Sequence[Entry]) -> tuple[Part, P
             "look for the calibration with the identifier that the report of the run names",
         ), None
     return Part(part, Result.HOLDS, f"equal to {source}"), source
+
+
+def _given_geometry(files: Sequence[Path]) -> Part:
+    """Tell what a geometry means that no calibration was made for."""
+    part = CALIBRATION_OF_RUN
+    try:
+        simulated = all(RigModel.from_yaml(file).source == VIRTUAL_RIG for file in files)
+    except FringedicError as error:
+        return Part(part, Result.FAILS, str(error), "restore the calibration from a copy")
+    if simulated:
+        found = (
+            "geometry given, not calibrated: that of the virtual rig, whose images are simulated with the same numbers"
+        )
+        return Part(part, Result.NOTE, found)
+    return Part(
+        part,
+        Result.OPEN,
+        "geometry given, not calibrated: its numbers were written into the rig file. The results follow from the "
+        "images and these numbers; no measurement supports heights, displacements and their uncertainties",
+        "measure the calibration, and name its file in the rig file",
+    )
 
 
 def check_calibration(file: Path, entries: Sequence[Entry]) -> Part:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fringedic.audit.parts import Part, Result
+from fringedic.audit.parts import CALIBRATION_OF_RUN, Part, Result
 from fringedic.audit.run import Audit
 
 LIMITS = (
@@ -34,4 +34,9 @@ def verdict_sentence(audit: Audit) -> str:
         return f"verdict: the files do not support the results, because of {', '.join(failed)}"
     if unproven:
         return f"verdict: nothing contradicts the results, but not proven: {', '.join(unproven)}"
-    return "verdict: the files support the results; every part holds"
+    noted = [
+        f"{part.name}: {part.found}"
+        for part in audit.parts
+        if part.name == CALIBRATION_OF_RUN and part.result is Result.NOTE
+    ]
+    return f"verdict: the files support the results; {'; '.join(noted) or 'every part holds'}"

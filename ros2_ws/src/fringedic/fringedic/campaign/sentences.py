@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,6 +41,13 @@ def status_sentences(status: Status) -> list[str]:
         *_list("failed", [failure.reason for failure in status.failed.values()]),
         *unplanned_sentences(status),
     ]
+
+
+def unrecorded_sentences(store: str, failures: Sequence[Failure]) -> list[str]:
+    """Return which recordings failed without a record of it in the store, and what to do; nothing without any."""
+    reasons = [f"{failure.name}: {failure.reason}" for failure in failures]
+    words = f"failed, and the store {store} cannot be written: make it writable and repeat the command, which continues"
+    return list(_list(words, reasons))
 
 
 def verification_sentences(status: Status, damaged: list[str]) -> list[str]:

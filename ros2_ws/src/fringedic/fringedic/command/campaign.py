@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -166,36 +167,45 @@ def _run(
     folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False, follow: bool = False
 ) -> None:
     from fringedic.campaign import CampaignStore, current_plan, load_campaign, status_of, update_plan
-    from fringedic.campaign.sentences import plan_sentences, status_sentences
+    from fringedic.campaign.sentences import plan_sentences, status_sentences, unrecorded_sentences
 
     campaign = load_campaign(folder)
     store = CampaignStore(campaign.store)
     made = current_plan(campaign, recompute=recompute, follow=follow)
     say(*plan_sentences(made))
-    while units := status_of(store, made).share(*shard):
-        _process(units, engine)
+    unrecorded: list[Failure] = []  # of a store that can no longer be written: there they count as waiting
+    while (units := status_of(store, made).share(*shard)) and not unrecorded:
+        failures = _process(units, engine)
+        waiting = {unit.name for unit in status_of(store, made).waiting}
+        unrecorded = [failure for failure in failures if failure.name in waiting]
         if not follow:
             break
         made = update_plan(campaign, follow=True)  # recordings that were followed are complete, others have begun
     found = status_of(store, made)
-    say(*status_sentences(found), f"next: `fringedic campaign open {folder}`")
-    _end(found)
+    say(*status_sentences(found), *unrecorded_sentences(store.address, unrecorded))
+    say(f"next: `fringedic campaign open {folder}`")
+    _end(found, unrecorded)
 
 
-def _process(units: list[Unit], engine: Engine) -> None:
+def _process(units: list[Unit], engine: Engine) -> list[Failure]:
+    """Process units, and return the failures of recordings."""
+    from fringedic.campaign.receipts import Failure
     from fringedic.campaign.sentences import CampaignProgress
 
     outcome: Receipt | Failure
     parts = [part for unit in units if not unit.growing for part in unit.parts]
     first = sorted(units, key=lambda unit: not unit.growing)  # that are being made: their steps come now
+    failures = []
     for batch in (parts, first) if parts else (first,):
         progress, started = CampaignProgress(batch), time.monotonic()
         for outcome in engine.outcomes(batch):
             say(progress.sentence(outcome, time.monotonic() - started))
+        failures = [each for each in progress.finished if isinstance(each, Failure)]
+    return failures
 
 
-def _end(found: Status) -> None:
-    if found.failed or found.plan.refused:
+def _end(found: Status, unrecorded: Sequence[Failure] = ()) -> None:
+    if found.failed or found.plan.refused or unrecorded:
         raise typer.Exit(1)
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import random
 import shutil
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +19,8 @@ from typer.testing import CliRunner
 
 from fringedic.audit import Result, audit_run, compare_bits
 from fringedic.audit import results as audit_results
+from fringedic.audit.run import Audit
+from fringedic.audit.sentences import verdict_sentence
 from fringedic.command.main import app
 from fringedic.command.outcome import RunReport
 from fringedic.command.run_results import sign_results
@@ -25,6 +29,7 @@ from fringedic.evidence import begin_log, noted, read_log
 from fringedic.evidence.keys import PUBLIC, key_folder, laboratory_key, raw_public
 from fringedic.evidence.log import LOG
 from fringedic.recording import BagReader, BagWriter
+from fringedic.rig.model import RigModel
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 BENCHMARK = Path(__file__).parents[5] / "benchmarks" / "audit_changes.py"
@@ -75,7 +80,10 @@ def test_every_part_of_a_whole_run_holds(run: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["audit", str(run), "--key", str(public), "--output", str(page)])
     assert done.exit_code == 0, done.output
     lines = done.stdout.splitlines()
-    assert lines[-2] == "verdict: the files support the results; every part holds"
+    assert (
+        lines[-2]
+        == "verdict: the files support the results; calibration: the run has none; displacements are in pixels"
+    )
     assert "holds       results results.nc: computed again from the raw data, equal bit by bit" in done.stdout
     assert "The files support the results" in page.read_text()
     assert "ompliant" not in page.read_text()
@@ -90,6 +98,22 @@ def test_every_part_of_a_whole_run_holds(run: Path, tmp_path: Path) -> None:
     noted = CliRunner().invoke(app, ["note", str(run), "a remark of the operator", "--file", str(run / "added.txt")])
     assert noted.exit_code == 0, noted.output
     assert audit_run(run, recompute=False).parts[2].result is Result.HOLDS
+
+
+def test_a_geometry_that_is_given_is_no_calibration(tmp_path: Path) -> None:
+    model = RigModel.from_yaml(RECORDED.parent / "calibration" / "calibration.yaml")
+    for source, result, meaning in (
+        ("the rig file", Result.OPEN, "no measurement supports heights, displacements"),
+        ("virtual_rig", Result.NOTE, "the virtual rig, whose images are simulated"),
+    ):
+        dataclasses.replace(model, source=source).to_yaml(tmp_path / "calibration.yaml")
+        part, file = audit_results.check_calibration_file(tmp_path, [])
+        assert (part.result, file) == (result, None)
+        assert part.found.startswith("geometry given, not calibrated: ")
+        assert meaning in part.found
+        audit = Audit(tmp_path, datetime.now(UTC), (part,), ())
+        assert audit.holds == (result is Result.NOTE)
+        assert ("calibration: geometry given" in verdict_sentence(audit)) == audit.holds
 
 
 def test_random_changes_are_found(run: Path, changes: ModuleType) -> None:

@@ -42,6 +42,15 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
         command("run", str(folder), "--shard", "3/2")
     with pytest.raises(ConfigurationError, match="engine dask needs the --scheduler of a cluster; use processes"):
         command("run", str(folder), "--engine", "dask", "--workers", "2")
+    refusing = [folder / "store" / name for name in ("begun", "failures")]  # as a disk that became read-only
+    for each in refusing:
+        each.write_text("")
+    code, said = command("run", str(folder))
+    assert code == 1
+    assert "0 failed, 1 waiting" in said
+    assert f"failed, and the store {folder / 'store'} cannot be written: make it writable and repeat" in said
+    for each in refusing:
+        each.unlink()
     code, said = command("run", str(folder))
     assert code == 1
     assert "1 of 1: plate-1: 3 steps" in said
