@@ -20,7 +20,7 @@ import h5py  # type: ignore[import-untyped]
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.checksums import CHECKED, CONTENT, checksums_of
+from fringedic.datasets.checksums import CHECKED, CONTENT, SummedDataset
 from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
 from fringedic.errors import DatasetError, ErrorCode
 from fringedic.frames.sensor import SENSOR, file_of
@@ -167,15 +167,11 @@ def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mappin
     """
     require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
     temporary = _temporary(target)
-    plain = _of_a_file(dataset)
-    numbers = [str(name) for name, each in plain.variables.items() if each.ndim and each.dtype.kind in "biufM"]
-    sums = {name: {**(encoding or {}).get(name, {}), "fletcher32": True} for name in numbers}
+    summed = SummedDataset(_of_a_file(dataset), encoding or {})
     try:
-        plain.to_netcdf(temporary, engine="h5netcdf", encoding={**(encoding or {}), **sums})
-        with xr.open_dataset(temporary, engine="h5netcdf", decode_cf=False, cache=False) as raw:
-            text = checksums_of(raw)
+        summed.content.to_netcdf(temporary, engine="h5netcdf")
         with h5py.File(temporary, "r+") as file:
-            file.attrs[CONTENT] = text
+            file.attrs[CONTENT] = summed.text
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
@@ -198,11 +194,10 @@ def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[
     """
     with optional_import("zarr"):
         import zarr
-    _of_a_file(dataset).to_zarr(target, mode="w", zarr_format=2, encoding=encoding, write_empty_chunks=True)
-    with xr.open_dataset(target, engine="zarr", decode_cf=False, cache=False) as raw:
-        text = checksums_of(raw)
+    summed = SummedDataset(_of_a_file(dataset), encoding or {})
+    summed.content.to_zarr(target, mode="w", zarr_format=2, write_empty_chunks=True)
     group = zarr.open_group(target, mode="r+", zarr_format=2)
-    group.attrs[CONTENT] = text
+    group.attrs[CONTENT] = summed.text
     _consolidate(group)
 
 
@@ -279,9 +274,9 @@ class NetcdfStore:
         for dimension in variable.dimensions:
             if dimension not in self._file.dimensions:
                 self._file.dimensions[dimension] = sizes[dimension]
-        options: dict[str, Any] = {"fletcher32": variable.dtype != TEXT}  # HDF5 has none for texts
+        options: dict[str, Any] = {}
         if variable.dimensions == MAP_DIMENSIONS:
-            options |= {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
+            options = {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
         kind = h5py.string_dtype() if variable.dtype == TEXT else variable.dtype
         made = self._file.create_variable(variable.name, variable.dimensions, kind, **options)
         for key, value in variable.attributes.items():
@@ -337,7 +332,7 @@ def _end_growth(content: h5py.File, dimension: str) -> None:
     for variable in variables:
         variable.dims[0].detach_scale(growing)
     del content[dimension]
-    fixed = content.create_dataset(dimension, data=values, fletcher32=True)
+    fixed = content.create_dataset(dimension, data=values)
     fixed.attrs.update(attributes)
     fixed.make_scale(dimension)
     for variable in variables:

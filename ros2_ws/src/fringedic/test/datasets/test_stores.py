@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fringedic.datasets.checksums import CONTENT
-from fringedic.datasets.stores import NetcdfStore, Variable, save_netcdf
+from fringedic.datasets.checksums import CONTENT, has_checksums, load_checked, open_checked
+from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.stores import NetcdfStore, Variable, save_netcdf, save_zarr
 from fringedic.errors import DatasetError, ErrorCode
 
 DATASET = xr.Dataset({"phase": (("row", "column"), np.ones((3, 4)))})
@@ -29,6 +30,38 @@ def test_an_existing_file_is_replaced_by_the_dataset(target):
         assert "phase" in json.loads(saved.attrs.pop(CONTENT))["variables"]
         xr.testing.assert_identical(saved, DATASET)
     assert list(target.parent.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_the_checksums_of_a_written_dataset_are_those_of_its_file(tmp_path, suffix):
+    """They are taken before a library converts texts, times, truth values and attributes to its format."""
+    random_numbers = np.random.default_rng(1)
+    dataset = xr.Dataset(
+        {
+            "w": (
+                MAP_DIMENSIONS,
+                random_numbers.standard_normal((2, 3, 4), np.float32),
+                {"units": "m", "limits": (0.1, 2)},
+            ),
+            "count": (MAP_DIMENSIONS, random_numbers.integers(0, 9, (2, 3, 4))),
+            "error": ("step", ["", "dark; 20 µm"]),
+            "held": ("step", [True, False]),
+            "force": ("step", [1.5, np.nan], {"source": ""}),
+            "time": ("step", np.array([1, 2], "M8[ns]")),
+            "scale": ((), 0.25),
+        },
+        {"step": [1, 2], "x_mm": ("column", np.arange(4.0))},
+        {"names": ["a", "b"], "one": ["a"], "number": np.float64(0.1), "rows": np.arange(3), "empty": ""},
+    )
+    target = tmp_path / f"a{suffix}"
+    encoding = {"time": {"units": "nanoseconds since 1970-01-01", "dtype": "int64"}}
+    (save_netcdf if suffix == ".nc" else save_zarr)(dataset, target, encoding)
+    with open_checked(target, str(target), netcdf=suffix == ".nc") as opened:
+        assert has_checksums(opened)
+        load_checked(opened)
+        np.testing.assert_array_equal(opened["w"], dataset["w"])
+        np.testing.assert_array_equal(opened["time"], dataset["time"])
+        assert list(opened["error"].values) == ["", "dark; 20 µm"]
 
 
 def test_a_full_disk_keeps_the_previous_file(target, monkeypatch):
