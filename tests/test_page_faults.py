@@ -79,6 +79,9 @@ class ShownRig(SmallRig):
     async def check(self, text: str) -> dict[str, Any]:
         return self.file.check(text)
 
+    def busy(self) -> str:
+        return ""
+
     async def do(self, command: Any) -> str:
         await asyncio.sleep(self.delay_s)
         if self.refusal:

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
+from setuptools.command.build_py import build_py
 
 package = ElementTree.parse("package.xml").getroot()
 name = package.findtext("name", "")
@@ -17,8 +18,28 @@ readme = Path(__file__).resolve().parents[3] / "README.md"  # beside the workspa
 share = f"share/{name}"
 folders = {folder: sorted(str(path) for path in Path(folder).glob("*.*")) for folder in ("config", "launch", "rviz")}
 
+MANUAL = ("*.md", "*/*.md", "*/*.png", "*/*.svg")
+
+
+class BuildWithManual(build_py):
+    """Copies the manual of the repository into the library, whose page of a rig shows it."""
+
+    def run(self) -> None:
+        """Copy the packages, and the manual where it is there."""
+        super().run()
+        docs = Path(__file__).resolve().parents[3] / "docs"
+        target = Path(self.build_lib) / "fringedic" / "report" / "page_server" / "manual_pages"
+        if name != "fringedic" or self.editable_mode:
+            return
+        for file in (each for pattern in MANUAL for each in docs.glob(pattern)):
+            copy = target / file.relative_to(docs)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(file.read_bytes())
+
+
 setup(
     name=name,
+    cmdclass={"build_py": BuildWithManual},
     version=package.findtext("version", ""),
     description=package.findtext("description", ""),
     license=package.findtext("license", ""),

@@ -42,6 +42,9 @@ class SpecimenMetadata(_Entries):
     """The specimen, and sign and tare of its load."""
 
     name: str = Field("", description="Name of the specimen.")
+    number: str = Field("", description="Number of the specimen, for the certificate.")
+    test_number: str = Field("", description="Number of the test, for the certificate.")
+    customer: str = Field("", description="Customer, for the certificate.")
     material: str = Field("", description="Material of the specimen.")
     section_mm2: float | None = Field(
         None, gt=0, description="Area that carries the force [mm²]: stress = force / area."

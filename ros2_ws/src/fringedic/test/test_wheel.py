@@ -17,6 +17,7 @@ def test_the_wheel_has_licence_readme_addresses_and_command(tmp_path: Path) -> N
     copy = tmp_path / "repository" / PACKAGE.relative_to(ROOT)
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("test", "build", "__pycache__", "*.egg-info"))
     shutil.copy(ROOT / "README.md", tmp_path / "repository")
+    shutil.copytree(ROOT / "docs", tmp_path / "repository" / "docs", ignore=shutil.ignore_patterns("_build"))
     pip = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--quiet"]
     subprocess.run([*pip, "--wheel-dir", str(tmp_path), str(copy)], check=True)
     [wheel] = tmp_path.glob("fringedic-*.whl")
@@ -27,6 +28,8 @@ def test_the_wheel_has_licence_readme_addresses_and_command(tmp_path: Path) -> N
         commands = archive.read(place.replace("METADATA", "entry_points.txt")).decode()
         [licence] = [name for name in names if name.endswith("LICENSE")]
         assert b"Apache License" in archive.read(licence)
+    manual = "fringedic/report/page_server/manual_pages"
+    assert {f"{manual}/operator.md", f"{manual}/nodes/camera.md", f"{manual}/pictures/plan.png"} <= set(names)
     assert metadata["Name"] == "fringedic"
     assert "maintainers" in metadata["Author"]
     assert any(each.startswith("Repository, https://") for each in metadata.get_all("Project-URL", []))

@@ -180,6 +180,10 @@ class OperatorNode(RigNode):
         tests = {} if self._file is None else self._file.tests()
         return self._folders | {f"test {name}": test.folder for name, test in tests.items()}
 
+    def busy(self) -> str:
+        """Return why nothing else may be computed now; "" when it may."""
+        return "a procedure runs on the rig: evaluate and export when it has ended" if self._state.is_busy else ""
+
     async def do(self, command: Any) -> str:
         """Execute a command of the page."""
         if isinstance(command, Start):

@@ -65,6 +65,11 @@ class RigState:
         self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
         self._remaining = RemainingTime()
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether a procedure runs, apart from the live view."""
+        return self._is_busy
+
     def snapshot(self, mapped: Mapping[int, int]) -> dict[str, Any]:
         """Return topics of the page and their data.
 

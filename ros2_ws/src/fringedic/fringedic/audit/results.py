@@ -35,8 +35,8 @@ PHASE_CHECK = "phase_closure"
 
 
 def datasets_of(run: Path, bag: Path) -> Iterator[Path]:
-    """Yield the datasets in the folder of a run that were made from its recording."""
-    for path in sorted(run.iterdir()):
+    """Yield the datasets in the folder of a run, and its named evaluations, that were made from its recording."""
+    for path in [*sorted(run.iterdir()), *sorted((run / "evaluations").glob("*/*"))]:
         if path.suffix in SUFFIXES and not path.name.startswith("."):
             source = None
             with suppress(FringedicError), open_experiment(path) as dataset:

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from fringedic.command import calibration, campaign, evidence, images, models, recordings, rig_setup, view
+from fringedic.command import calibration, campaign, evaluations, evidence, images, models, recordings, rig_setup, view
 from fringedic.command.app import app
 from fringedic.command.plugins import load_commands, ros_as_sentence
 from fringedic.command.terminal import Terminal
@@ -18,7 +18,19 @@ from fringedic.wording.causes import cause_of
 from fringedic.wording.control_characters import visible
 
 # importing them adds their subcommands
-__all__ = ["app", "calibration", "campaign", "evidence", "images", "main", "models", "recordings", "rig_setup", "view"]
+__all__ = [
+    "app",
+    "calibration",
+    "campaign",
+    "evaluations",
+    "evidence",
+    "images",
+    "main",
+    "models",
+    "recordings",
+    "rig_setup",
+    "view",
+]
 INTERRUPTED = 130
 
 

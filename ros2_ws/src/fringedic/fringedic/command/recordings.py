@@ -272,6 +272,13 @@ def report(  # noqa: PLR0913 (options of a command)
     region: Annotated[
         list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values are listed.")
     ] = None,
+    laboratory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="Settings of the laboratory for the first page; laboratory.yaml beside the run or above by default.",
+        ),
+    ] = None,
     sensor: Sensor = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it as PDF, too; needs chromium.")] = False,
     overwrite: Overwrite = False,
@@ -293,6 +300,7 @@ def report(  # noqa: PLR0913 (options of a command)
             static_steps=static or None,
             gauges=named_gauges(extensometer) or None,
             regions=named_regions(region),
+            laboratory=laboratory,
             overwrite=overwrite,
         )
         say(f"report: {written}")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError
@@ -128,13 +129,39 @@ class PeopleUnit(NamedTuple):
 _MILLIMETRE = PeopleUnit("mm", "mm", 1e-3)
 _MICROMETRE = PeopleUnit("µm", "um", 1e-6)
 _MICROSTRAIN = PeopleUnit("µstrain", "ustrain", 1e-6)
+_PERCENT = PeopleUnit("%", "percent", 0.01)
+_LARGE_STRAIN = 0.01
 
 
-def people_unit(variable: xr.DataArray) -> PeopleUnit:
+def strain_unit(largest: float) -> PeopleUnit:
+    """Return the unit of strains that people look at: % if the largest one exceeds 1 %, else µstrain.
+
+    Examples
+    --------
+    >>> strain_unit(0.025).text, strain_unit(0.002).text
+    ('%', 'µstrain')
+    """
+    return _PERCENT if largest > _LARGE_STRAIN else _MICROSTRAIN
+
+
+def largest_of(values: Iterable[np.ndarray]) -> float:
+    """Return the largest absolute value of arrays, 0 where nothing is measured."""
+    finite = [np.abs(each[np.isfinite(each)]) for each in values]
+    return max((float(each.max()) for each in finite if each.size), default=0.0)
+
+
+def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
     """Return the one unit of a map in pictures, curves, tables and exports.
 
     Positions are in mm, displacements in µm and strain in µstrain; a map without the attribute ``units`` has that of
     `MAPS`. Signals have the unit of their dataset, lengths mm.
+
+    Parameters
+    ----------
+    variable
+        The map.
+    largest
+        Largest strain that is shown, as of `strain_unit`; exports always contain µstrain.
     """
     name = str(variable.name)
     units = variable.attrs.get("units") or MAPS.get(name, Quantity("", "")).units
@@ -143,7 +170,7 @@ def people_unit(variable: xr.DataArray) -> PeopleUnit:
     if units == "m":
         return _MILLIMETRE if name in POSITIONS else _MICROMETRE
     if units == "1":
-        return _MICROSTRAIN
+        return strain_unit(largest)
     return PeopleUnit(units, units.replace(" ", "_"), 1.0)
 
 

@@ -2,6 +2,11 @@ from .elasticity import ElasticConstants as ElasticConstants
 from .elasticity import elastic_constants as elastic_constants
 from .elasticity import strain_curve as strain_curve
 from .force import force_curve as force_curve
+from .named import EvaluationSettings as EvaluationSettings
+from .named import NamedEvaluation as NamedEvaluation
+from .named import evaluate as evaluate
+from .named import evaluations as evaluations
+from .named import preview as preview
 from .probes import extensometer as extensometer
 from .probes import profile as profile
 from .probes import region_statistics as region_statistics

@@ -304,6 +304,18 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     return xr.Dataset(fields, {**coordinates, "step": dataset.step} if stepwise else coordinates)
 
 
+def surface_means(step: xr.Dataset, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return mean and standard uncertainty of maps of a step over all points; NaN where nothing is measured."""
+    if not names:
+        return {}
+    ends = [(float(step["column"][end]), float(step["row"][end])) for end in (0, -1)]
+    table = region_statistics(step, names, Region.rectangle(*ends))
+    return {
+        name: (float(table[name].sel(statistic="mean")), float(table[name].sel(statistic="standard_uncertainty")))
+        for name in names
+    }
+
+
 def _sigma_of(name: str) -> str | None:
     """Return the map with the standard deviations of a map, also of one of images; None when there is none."""
     return SIGMAS.get(name) or sigma_of(name)

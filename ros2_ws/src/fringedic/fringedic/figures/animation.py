@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
-from fringedic.datasets.quantities import people_unit, strain_words
+from fringedic.datasets.quantities import strain_words
 from fringedic.errors import DatasetError
-from fringedic.figures.maps import map_figure, redraw_map
+from fringedic.figures.maps import Scale, map_figure, redraw_map, scale_between
 from fringedic.figures.panels import Panel
 from fringedic.wording.optional_packages import optional_import
 
@@ -101,6 +101,7 @@ class _Frames:
     dataset: xr.Dataset
     panel: Panel
     steps: list[int]
+    scale: Scale
     figure: Figure
 
     def images(self) -> Iterator[Image.Image]:
@@ -109,9 +110,8 @@ class _Frames:
         canvas = FigureCanvasAgg(self.figure)
         for step in self.steps:
             if step != self.steps[0]:
-                redraw_map(
-                    self.figure, self.dataset.sel(step=step), self.panel, title=_title(self.dataset, step, self.panel)
-                )
+                title = _title(self.dataset, step, self.panel)
+                redraw_map(self.figure, self.dataset.sel(step=step), self.panel, self.scale, title=title)
             from PIL import Image
 
             canvas.draw()  # type: ignore[no-untyped-call]
@@ -130,12 +130,10 @@ def _frames(dataset: xr.Dataset, panel: Panel) -> _Frames:
     if not steps:
         raise DatasetError(f"no step has the map {panel.name}")
     steps = steps[:: -(-len(steps) // FRAMES)]
-    factor = people_unit(dataset[panel.name]).factor
-    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / factor for step in steps]
-    low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
-    limits = (low, high) if high > low else (low - 0.5, low + 0.5)
-    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(dataset, steps[0], panel))
-    return _Frames(dataset, panel, steps, figure)
+    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) for step in steps]
+    scale = scale_between(dataset[panel.name], float(min(end[0] for end in ends)), float(max(end[1] for end in ends)))
+    figure = map_figure(dataset.sel(step=steps[0]), panel, scale, title=_title(dataset, steps[0], panel))
+    return _Frames(dataset, panel, steps, scale, figure)
 
 
 def _title(dataset: xr.Dataset, step: int, panel: Panel) -> str:

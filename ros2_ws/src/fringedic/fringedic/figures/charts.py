@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.quantities import largest_of, strain_unit
 from fringedic.errors import DatasetError
 from fringedic.wording.optional_packages import optional_import
 
@@ -105,9 +106,11 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     if not moved:
         moved, unit = _medians(dataset, ("displacement_x", "displacement_y"), 1.0), "px"
     figures = [_over("Median displacement", "step", f"displacement [{unit}]", numbers, moved, breaks)]
-    strains = _medians(dataset, _STRAINS, MICRO)
+    strains = _medians(dataset, _STRAINS, 1.0)
+    unit_of_strain = strain_unit(largest_of(strains.values()))
+    strains = {name: values / unit_of_strain.factor for name, values in strains.items()}
     if strains:
-        figures.append(_over("Median strain", "step", "strain [µstrain]", numbers, strains, breaks))
+        figures.append(_over("Median strain", "step", f"strain [{unit_of_strain.text}]", numbers, strains, breaks))
     if "force" in dataset and np.isfinite(dataset["force"].values).any():
         force, position = dataset["force"].values, dataset["position"].values / MILLI
         if np.isfinite(position).any():
@@ -119,7 +122,7 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
             title, label, values = "Force over strain", "force [N]", force
             if section is not None:
                 title, label, values = "Stress over strain", "stress [MPa]", force / section / MEGA
-            along = f"median {largest} [µstrain]"
+            along = f"median {largest} [{unit_of_strain.text}]"
             figures.append(_over(title, along, label, strains[largest], {label: values}, breaks))
     return [figure for figure in figures if figure.data]
 
@@ -219,12 +222,13 @@ def extensometer_charts(
     """
     if not gauges:
         return []
-    strains = {name: each["strain"].values / MICRO for name, each in gauges.items()}
+    unit = strain_unit(largest_of(each["strain"].values for each in gauges.values()))
+    strains = {name: each["strain"].values / unit.factor for name, each in gauges.items()}
     numbers, breaks = dataset["step"].values, reference_changes(dataset["reference_step"].values)
-    over_steps = _over("Virtual extensometers", "step", "strain [µstrain]", numbers, strains, breaks)
+    over_steps = _over("Virtual extensometers", "step", f"strain [{unit.text}]", numbers, strains, breaks)
     for trace, each in zip(over_steps.data, gauges.values(), strict=True):
         if "sigma_strain" in each:
-            sigma = interrupt(each["sigma_strain"].values / MICRO, breaks)
+            sigma = interrupt(each["sigma_strain"].values / unit.factor, breaks)
             trace.error_y = {"type": "data", "array": sigma.tolist()}
     figures = [over_steps]
     if "force" in dataset and np.isfinite(dataset["force"].values).any():
@@ -236,7 +240,8 @@ def extensometer_charts(
         for name, strain in strains.items():
             x, y = interrupt(strain, breaks).tolist(), interrupt(load, breaks).tolist()
             curves.add_trace(go.Scatter(x=x, y=y, mode="lines+markers", name=name))
-        layout = {"title": title, "xaxis_title": "strain [µstrain]", "yaxis_title": label, "hovermode": "closest"}
+        across = f"strain [{unit.text}]"
+        layout = {"title": title, "xaxis_title": across, "yaxis_title": label, "hovermode": "closest"}
         figures.append(curves.update_layout(**_LAYOUT, **layout, showlegend=len(gauges) > 1))
     return figures
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
-from fringedic.datasets.quantities import people_unit, strain_measure_of
+from fringedic.datasets.quantities import PeopleUnit, people_unit, strain_measure_of
 from fringedic.datasets.signals import signal_names
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import with_principal_strains
@@ -42,6 +42,14 @@ _HEADING = 0.45  # [inch]
 _TAIL = 0.5  # [%] of the values beyond either end of a colour scale
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of a map in the unit of its axes."""
+
+
+class Scale(NamedTuple):
+    """The colours of a map: their unit, and the values of the first and the last one in this unit."""
+
+    unit: PeopleUnit
+    low: float
+    high: float
 
 
 @check_arguments(
@@ -163,12 +171,13 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     return figure
 
 
-def _redraw(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None) -> None:
+def _redraw(axes: Axes, maps: xr.Dataset, panel: Panel, scale: Scale | None = None) -> None:
     """Show another step in axes of `draw_map`."""
-    values, ends, title = _prepare(maps, panel, limits)
-    axes.images[0].set_data(values)
-    axes.images[0].set_clim(*ends)
-    axes.set_title(title, y=1.0)
+    shown = _prepare(maps, panel, scale)
+    axes.images[0].set_data(shown.values)
+    axes.images[0].set_clim(shown.scale.low, shown.scale.high)
+    axes.child_axes[0].set_ylabel(shown.scale.unit.text)
+    axes.set_title(shown.title, y=1.0)
 
 
 def _entitle(figure: Figure, title: str) -> None:
@@ -209,31 +218,30 @@ def reference_figure(reference: xr.Dataset, measured: xr.Dataset, gauges: Mappin
     return figure
 
 
-def map_figure(maps: xr.Dataset, panel: Panel, limits: tuple[float, float], *, title: str) -> Figure:
-    """Draw one map of one step with given ends of its colour scale [the panel's unit].
+def map_figure(maps: xr.Dataset, panel: Panel, scale: Scale, *, title: str) -> Figure:
+    """Draw one map of one step with a given colour scale.
 
     Parameters
     ----------
     maps, panel, title
         As for `maps_figure`.
-    limits
-        Values of the first and the last colour.
+    scale
+        Its colours.
     """
     with optional_import("figures"):
         from matplotlib.figure import Figure
     size = _map_size(maps, 5.0)
     figure = Figure(figsize=_panel_size(size), dpi=90)
     axes = _panel_axes(figure, size, 0, 0)
-    draw_map(axes, maps, panel, limits)
+    draw_map(axes, maps, panel, scale)
     axes.set_title(title)
     return figure
 
 
-def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, *, title: str) -> None:
-    """Show the map of another step in a figure of `map_figure`, with the same colour scale."""
-    axes = figure.axes[0]
-    _redraw(axes, maps, panel, axes.images[0].get_clim())
-    axes.set_title(title)
+def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, scale: Scale, *, title: str) -> None:
+    """Show the map of another step in a figure of `map_figure`."""
+    _redraw(figure.axes[0], maps, panel, scale)
+    figure.axes[0].set_title(title)
 
 
 def _thin(values: np.ndarray) -> np.ndarray:
@@ -241,7 +249,7 @@ def _thin(values: np.ndarray) -> np.ndarray:
     return values[::thin, ::thin]
 
 
-def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None) -> None:
+def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, scale: Scale | None = None) -> None:
     """Draw a map with its colour bar, as the camera sees it: x to the right, and the first row at the top.
 
     Parameters
@@ -250,12 +258,12 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
         Where to draw.
     maps, panel
         As for `maps_figure`.
-    limits
-        Values of the first and the last colour; by default without the tails of the values.
+    scale
+        Its colours; by default without the tails of the values.
     """
     from matplotlib import colormaps
 
-    values, (low, high), title = _prepare(maps, panel, limits)
+    values, (unit, low, high), title = _prepare(maps, panel, scale)
     name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
         values,
@@ -267,9 +275,7 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
         interpolation="nearest",
     )
     place = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    bar = axes.figure.colorbar(
-        image, cax=place, label=people_unit(maps[panel.name]).text, extend="both", extendfrac=0.03
-    )
+    bar = axes.figure.colorbar(image, cax=place, label=unit.text, extend="both", extendfrac=0.03)
     bar.formatter.set_useOffset(False)  # type: ignore[attr-defined] # numbers as they are, without "+1.8e2" above them
     bar.formatter.set_scientific(False)  # type: ignore[attr-defined]
     across, down = ("x [mm]", "y [mm]") if "x_mm" in maps.coords else ("column [px]", "row [px]")
@@ -277,31 +283,39 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     axes.set_title(title, y=1.0)  # a place found by matplotlib takes a fifth of all drawing
 
 
-def _prepare(
-    maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None
-) -> tuple[np.ndarray, tuple[float, float], str]:
-    """Return the values of a picture in people's units, the ends of its colour scale, and its title."""
-    values = _in_people_units(maps, panel)
+class _Shown(NamedTuple):
+    """The values of a picture in its unit, its colour scale, and its title."""
+
+    values: np.ndarray
+    scale: Scale
+    title: str
+
+
+def _prepare(maps: xr.Dataset, panel: Panel, scale: Scale | None = None) -> _Shown:
+    values = maps[panel.name].values
     finite = values[np.isfinite(values)]
-    if limits is None:
+    if scale is None:
         alike = finite
         if panel.like:  # two maps with one colour scale
-            other = _in_people_units(maps, panel._replace(name=panel.like))
+            other = maps[panel.like].values
             alike = np.concatenate([finite, other[np.isfinite(other)]])
-        low, high = (float(end) for end in np.percentile(alike, (_TAIL, 100 - _TAIL))) if alike.size else (0.0, 1.0)
+        low, high = (float(end) for end in np.percentile(alike, (_TAIL, 100 - _TAIL))) if alike.size else (0.0, 0.0)
         if panel.symmetric:
             high = max(abs(low), abs(high))
             low = -high
-        limits = (low, high) if high > low else (low - 0.5, low + 0.5)
+        scale = scale_between(maps[panel.name], low, high)
     title = panel.title
     if panel.symmetric and finite.size:
-        title += f"   RMS {number_text(np.sqrt(np.mean(finite**2)), 3)} {people_unit(maps[panel.name]).text}"
-    return _thin(values), limits, title
+        rms = float(np.sqrt(np.mean((finite / scale.unit.factor) ** 2)))
+        title += f"   RMS {number_text(rms, 3)} {scale.unit.text}"
+    return _Shown(_thin(np.asarray(values / scale.unit.factor)), scale, title)
 
 
-def _in_people_units(maps: xr.Dataset, panel: Panel) -> np.ndarray:
-    variable = maps[panel.name]
-    return np.asarray(variable.values / people_unit(variable).factor)
+def scale_between(variable: xr.DataArray, low: float, high: float) -> Scale:
+    """Return the colour scale of a map between two of its values, in the unit of people."""
+    unit = people_unit(variable, max(abs(low), abs(high)))
+    low, high = low / unit.factor, high / unit.factor
+    return Scale(unit, low, high) if high > low else Scale(unit, low - 0.5, low + 0.5)
 
 
 def _extent(maps: xr.Dataset) -> Extent:

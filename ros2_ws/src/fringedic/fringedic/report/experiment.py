@@ -16,9 +16,11 @@ import xarray as xr
 from fringedic.correlation import grey_residual
 from fringedic.datasets.attributes import sensor_of
 from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.quantities import largest_of, strain_measure_of, strain_unit
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import CorrelationError, DatasetError, FringedicError, RecordingError
+from fringedic.evaluation.named import SETTINGS, load_settings, run_of_evaluation
 from fringedic.evaluation.noise_floor import check_static_steps, noise_floors
 from fringedic.evaluation.noise_floor import static_steps as steps_at_rest
 from fringedic.evaluation.probes import extensometer
@@ -29,15 +31,18 @@ from fringedic.figures.charts import curve_charts, extensometer_charts, surface_
 from fringedic.figures.maps import maps_figure, reference_figure
 from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS, FLAT_STRAIN, pictures_of
 from fringedic.figures.residuals import residual_figure
+from fringedic.figures.surface import surface_figure
 from fringedic.frames.region import Point, Region
 from fringedic.frames.sensor import file_of
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
 from fringedic.recording.reader import BagReader
+from fringedic.report.certificate import certificate, open_laboratory
 from fringedic.report.data import ReportData, read_exposures, read_textures
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
+from fringedic.report.laboratory import Laboratory
 from fringedic.report.processing_entries import analysis_entries, fringe_entries
-from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
+from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_tables, truth_rows
 from fringedic.report.templates import (
     base64_png,
     base64_text,
@@ -51,6 +56,7 @@ from fringedic.report.templates import (
 from fringedic.report.warnings import warnings
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
+from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.arguments import check_arguments, optional, path, several, whole
 
 GAUGE_SUBSET = 21.0  # [px], side of the gauge subsets of virtual extensometers
@@ -70,8 +76,15 @@ class _Source:
         """The folder of the experiment."""
         return (self.recording or self.given).parent
 
+    @property
+    def evaluation(self) -> str | None:
+        """The name of the evaluation that the dataset is, None if it is none."""
+        return self.given.parent.name if run_of_evaluation(self.given.absolute().parent) is not None else None
 
-@check_arguments(DatasetError, source=path, output=optional(path), static_steps=optional(several(whole())))
+
+@check_arguments(
+    DatasetError, source=path, output=optional(path), static_steps=optional(several(whole())), laboratory=optional(path)
+)
 def write_report(
     source: str | os.PathLike[str],
     output: str | os.PathLike[str] | None = None,
@@ -80,6 +93,7 @@ def write_report(
     static_steps: Sequence[int] | None = None,
     gauges: Mapping[str, GaugePoints] | None = None,
     regions: Mapping[str, Region] | None = None,
+    laboratory: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the report of an experiment as one HTML file, which needs no other file and no network.
@@ -101,6 +115,9 @@ def write_report(
         image]; by default those of the specimen's metadata.
     regions
         Regions by name, whose mean values the report lists.
+    laboratory
+        Settings file of the laboratory for the first page, see docs/results.md; by default ``laboratory.yaml`` in the
+        folder of the recording or in the folder above, if there is one.
     overwrite
         Replace an existing file.
 
@@ -116,6 +133,8 @@ def write_report(
         rest does not exist, was not measured or has another reference, or no step was measured.
     RecordingError
         As of `fringedic.open_experiment`.
+    ConfigurationError
+        The settings file of the laboratory, or its logo, cannot be used.
     FringedicError
         A package of the extra ``report`` is not installed.
 
@@ -130,12 +149,15 @@ def write_report(
         if place.is_dir() and place.suffix not in SUFFIXES and "image" in dataset:
             place = Path(dataset.encoding["source"])  # the folder of measured images has no recording
         files = _Source(place, _recording(place, dataset))
-        target = file_of(files.folder / "report.html", sensor_of(dataset)) if output is None else Path(output)
+        beside = files.folder if files.evaluation is None else files.given.parent
+        target = file_of(beside / "report.html", sensor_of(dataset)) if output is None else Path(output)
         require_new(target, overwrite)
         with write_errors_named(target):
             target.parent.mkdir(parents=True, exist_ok=True)
         static = steps_at_rest(dataset) if static_steps is None else check_static_steps(dataset, static_steps)
-        page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges, regions or {}))
+        letterhead = open_laboratory(files.folder, None if laboratory is None else Path(laboratory))
+        content = _content(dataset, files, static, gauges, regions or {}, letterhead)
+        page = render_page("experiment.html.j2", **content)
     return write_page(page, target)
 
 
@@ -158,7 +180,8 @@ def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
     if source.suffix not in SUFFIXES:
         return source
     name = dataset.attrs.get("source")  # compared with the names there: of another person, it may be any text
-    return next((each for each in source.parent.iterdir() if each.name == name and each != source), None)
+    folder = run_of_evaluation(source.absolute().parent) or source.parent
+    return next((each for each in folder.iterdir() if each.name == name and each != source), None)
 
 
 def _content(
@@ -167,8 +190,11 @@ def _content(
     static: list[int],
     gauges: Mapping[str, GaugePoints] | None,
     regions: Mapping[str, Region],
+    letterhead: tuple[Laboratory, str, list[str]],
 ) -> dict[str, Any]:
     """Return the values of the template."""
+    laboratory, logo, unused = letterhead
+    date = _date(dataset)
     floors = noise_floors(dataset, static)
     recording, unreadable = _open_recording(files.recording, sensor_of(dataset))
     exposures = None if recording is None else read_exposures(recording, str(dataset.attrs["experiment"]))
@@ -178,17 +204,20 @@ def _content(
     truth, unread = _truth(dataset, files.folder / TRUTH)
     return {
         "title": str(dataset.attrs.get("experiment", "experiment")),
-        "date": _date(dataset),
+        "date": date,
+        "evaluation": _evaluation(files),
+        "certificate": certificate(data, laboratory, logo, strains, date),
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "simulated": data.simulated,
         "confirmation": confirmation_sentence(dataset),
-        "warnings": warnings(data, static, floors) + failed + unread + unreadable,
+        "warnings": warnings(data, static, floors) + failed + unread + unreadable + unused,
         "static_steps": static,
         "floors": [noise_floor_row(floor) for floor in floors],
         "noise": data.metadata.noise,
         "noise_columns": NOISE_COLUMNS,
         "images_alone": data.images_alone,
-        "steps": step_columns(dataset),
+        "step_tables": step_tables(dataset),
+        "strain_words": _strain_words(data),
         "regions": region_rows(dataset.sel(step=_last_measured(dataset)), regions),
         "truth": truth,
         "error_maps": _error_maps(dataset, files.folder / TRUTH),
@@ -244,16 +273,40 @@ def _pictures(data: ReportData, gauges: Mapping[str, GaugePoints]) -> dict[str, 
         "animation": _animation(data.dataset),
         "frame_ms": FRAME_MS,
         "surface": chart_html(surface_chart(last)) if surface else "",
+        "surface_picture": base64_png(surface_figure(last)) if surface else "",
         "curves": [chart_html(chart) for chart in curve_charts(data.dataset, data.section)],
         "plotly": chart_script(),
     }
 
 
+def _evaluation(files: _Source) -> str:
+    """Return the name of an evaluation and what it changes; empty for the results of the run."""
+    settings = files.given.parent / SETTINGS
+    if files.evaluation is None or not settings.is_file():
+        return ""
+    changed = load_settings(settings)
+    words = [f"{name} = {value}" for name, value in changed.overrides.items()]
+    words += [f"reference step {changed.reference}"] if changed.reference is not None else []
+    words += ["another region"] if changed.region else []
+    words += ["other extensometers"] if changed.gauges is not None else []
+    words += [changed.note] if changed.note else []
+    return f"{files.evaluation}: {'; '.join(words) or 'nothing is changed'}"
+
+
+def _strain_words(data: ReportData) -> str:
+    """Return which strain is shown."""
+    measure = TENSORS[strain_measure_of(data.dataset)]
+    plane = "image" if data.images_alone else "tangent plane of the surface"
+    return f"{measure.title}, {measure.definition}, in the {plane}; shear is the tensor shear, half the engineering one"
+
+
 def _gauge_content(data: ReportData, strains: Mapping[str, xr.Dataset]) -> dict[str, Any]:
     charts = extensometer_charts(data.dataset, strains, data.section)
+    unit = strain_unit(largest_of(each["strain"].values for each in strains.values()))
     return {
         "gauges": [chart_html(chart) for chart in charts],
-        "gauge_rows": gauge_rows(strains),
+        "gauge_rows": gauge_rows(strains, unit),
+        "gauge_unit": unit.text,
         "gauge_subset": GAUGE_SUBSET,
     }
 

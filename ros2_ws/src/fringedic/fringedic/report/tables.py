@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import seconds
-from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.quantities import PeopleUnit, largest_of, people_unit
 from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.evaluation.probes import region_statistics
@@ -22,6 +22,7 @@ from fringedic.wording.numbers import number_text
 MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 REGION_STATISTICS = ("mean", "standard_uncertainty", "standard_deviation", "minimum", "maximum")
+_MOST_COLUMNS = 9  # beside that of the step
 _STEP_VALUES = (  # after the signals; factor 0: in the unit of people
     ("valid_fraction", "measured [%]", 0.01),
     ("confirmed_fraction", "confirmed [%]", 0.01),
@@ -68,6 +69,12 @@ def step_columns(dataset: xr.Dataset) -> list[Column]:
     return [*columns, Column("error", [str(error) for error in dataset["error"].values], False)]
 
 
+def step_tables(dataset: xr.Dataset) -> list[list[Column]]:
+    """Return `step_columns` as tables that fit the width of a page; each begins with the number of the step."""
+    first, *others = step_columns(dataset)
+    return [[first, *others[start : start + _MOST_COLUMNS]] for start in range(0, len(others), _MOST_COLUMNS)]
+
+
 def _step_number(step: xr.Dataset, name: str) -> str:
     value = int(step[name]) if name in step else -1
     return str(value) if value >= 0 else "-"
@@ -91,12 +98,20 @@ def truth_rows(dataset: xr.Dataset, file: Path) -> list[list[str]]:
     ]
 
 
-def gauge_rows(gauges: Mapping[str, xr.Dataset]) -> list[list[str]]:
-    """Return a row per virtual extensometer: length, elongation, strain and its sigma at the last measured step."""
-    return [[name, *_gauge_cells(gauge)] for name, gauge in gauges.items()]
+def gauge_rows(gauges: Mapping[str, xr.Dataset], unit: PeopleUnit) -> list[list[str]]:
+    """Return a row per virtual extensometer: length, elongation, strain and its sigma at the last measured step.
+
+    Parameters
+    ----------
+    gauges
+        From `fringedic.extensometer`, by name.
+    unit
+        Of the strain.
+    """
+    return [[name, *_gauge_cells(gauge, unit)] for name, gauge in gauges.items()]
 
 
-def _gauge_cells(gauge: xr.Dataset) -> list[str]:
+def _gauge_cells(gauge: xr.Dataset, unit: PeopleUnit) -> list[str]:
     measured = np.flatnonzero(np.isfinite(gauge["strain"].values))
     if not measured.size:
         return ["-"] * 4
@@ -107,7 +122,7 @@ def _gauge_cells(gauge: xr.Dataset) -> list[str]:
     lengths = (f"{number_text(rest)} px", f"{number_text(elongation)} px")
     if gauge["length"].attrs["units"] == "m":
         lengths = (f"{number_text(rest / MILLI)} mm", f"{number_text(elongation / MICRO)} µm")
-    return [*lengths, number_text(strain / MICRO), number_text(sigma / MICRO)]
+    return [*lengths, number_text(strain / unit.factor), number_text(sigma / unit.factor)]
 
 
 def region_rows(dataset: xr.Dataset, regions: Mapping[str, Region]) -> list[list[str]]:
@@ -117,7 +132,7 @@ def region_rows(dataset: xr.Dataset, regions: Mapping[str, Region]) -> list[list
     for title, region in regions.items():
         table = region_statistics(dataset, present, region)
         for name in present:
-            unit = people_unit(dataset[name])
-            values = (float(table[name].sel(statistic=each)) / unit.factor for each in REGION_STATISTICS)
-            rows.append([title, f"{name} [{unit.text}]", *map(number_text, values)])
+            values = [float(table[name].sel(statistic=each)) for each in REGION_STATISTICS]
+            unit = people_unit(dataset[name], largest_of([np.array(values)]))
+            rows.append([title, f"{name} [{unit.text}]", *(number_text(value / unit.factor) for value in values)])
     return rows

@@ -52,3 +52,17 @@ def counted(number: int, thing: str) -> str:
     ('1 step', '2 steps')
     """
     return f"{grouped(number)} {thing}{'s' * (number != 1)}"
+
+
+def uncertain_text(value: float, sigma: float) -> str:
+    """Return a value with its standard uncertainty, rounded to two digits of it; without it as `number_text`.
+
+    Examples
+    --------
+    >>> uncertain_text(3105.27, 41.3), uncertain_text(0.61234, 0.0042), uncertain_text(2.5, float("nan"))
+    ('3105 ± 41', '0.6123 ± 0.0042', '2.5')
+    """
+    if not (math.isfinite(value) and math.isfinite(sigma) and sigma > 0):
+        return number_text(value)
+    digits = max(1 - math.floor(math.log10(sigma)), 0)
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}"

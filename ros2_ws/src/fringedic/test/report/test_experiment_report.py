@@ -20,7 +20,7 @@ from fringedic.errors import DatasetError
 from fringedic.evaluation.noise_floor import check_static_steps, noise_floors, static_steps
 from fringedic.figures.animation import save_animation
 from fringedic.figures.charts import curve_charts, extensometer_charts
-from fringedic.figures.maps import map_figure
+from fringedic.figures.maps import map_figure, scale_between
 from fringedic.figures.panels import Panel
 from fringedic.metadata import Metadata
 from fringedic.report import write_report
@@ -252,7 +252,7 @@ def test_the_page_says_everything_and_needs_no_network(page):
     assert "simulated" not in page.split("</style>")[1].split("<script")[0]
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=[\"']?(https?:)?//", page), "loads from the network"
-    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * (4 + 5)
+    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * (4 + 5 + 1)
     assert len(page) < 15e6
     assert (
         page.count('class="plotly-graph-div"') == 7
@@ -278,9 +278,9 @@ def test_the_moving_picture_has_one_frame_per_measured_step(dataset, tmp_path):
         assert picture.n_frames == 5
         picture.seek(4)
         seen = np.asarray(picture.convert("RGB")).astype(float)
-    ends = [np.nanpercentile(dataset.w.sel(step=step), (0.5, 99.5)) / 1e-6 for step in range(5)]
-    limits = min(low for low, _ in ends), max(high for _, high in ends)
-    drawn = FigureCanvasAgg(map_figure(dataset.sel(step=4), panel, limits, title="step 4: displacement w"))
+    ends = [np.nanpercentile(dataset.w.sel(step=step), (0.5, 99.5)) for step in range(5)]
+    scale = scale_between(dataset.w, min(low for low, _ in ends), max(high for _, high in ends))
+    drawn = FigureCanvasAgg(map_figure(dataset.sel(step=4), panel, scale, title="step 4: displacement w"))
     drawn.draw()
     difference = np.abs(seen - np.asarray(drawn.buffer_rgba())[..., :3])
     assert np.percentile(difference, 90) < 4, "another picture, or contours that the map does not have"

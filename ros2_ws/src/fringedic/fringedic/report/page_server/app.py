@@ -13,9 +13,10 @@ from typing import Any, Literal, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -25,7 +26,9 @@ from fringedic.figures.palettes import PALETTES, palette
 from fringedic.frames.region import Point
 from fringedic.report.page_server import maps
 from fringedic.report.page_server.access import Wheel
+from fringedic.report.page_server.evaluations import Evaluate, Evaluations, Export, Preview
 from fringedic.report.page_server.guard import REPORT_POLICY
+from fringedic.report.page_server.manual import manual_file, manual_page
 from fringedic.report.page_server.streams import Client, Hub
 
 PAGE = Path(__file__).with_name("static")
@@ -79,7 +82,7 @@ class Hold(_Command):
     """Requests a hold of the machine."""
 
 
-CommandT = TypeVar("CommandT", bound=_Command)
+CommandT = TypeVar("CommandT", bound=BaseModel)
 COMMANDS: dict[str, type[_Command]] = {"start": Start, "control": Control, "measure": Measure, "hold": Hold}
 FOR_EVERYBODY = ("hold",)  # these commands need no wheel
 
@@ -96,6 +99,9 @@ class Rig(Protocol):
 
     def folders(self) -> Mapping[str, Path]:
         """Return the folders whose files the page may show, by their names."""
+
+    def busy(self) -> str:
+        """Return why nothing else may be computed now, such as a test that runs; "" when it may."""
 
     async def do(self, command: Any) -> str:
         """Execute a command and return a sentence about its effect.
@@ -139,6 +145,13 @@ def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
             Route("/gauge", site.gauge),
             Route("/palettes", site.palettes),
             Route("/files/{folder}/{name}", site.file),
+            Route("/evaluations/{folder}", site.evaluations),
+            Route("/evaluations/{folder}", site.evaluate, methods=["POST"]),
+            Route("/evaluations/{folder}/preview", site.preview, methods=["POST"]),
+            Route("/evaluations/{folder}/{name}/report", site.evaluation_report),
+            Route("/preview/{name}", site.previewed),
+            Route("/export/{folder}", site.export),
+            Route("/manual/{page:path}", site.manual),
             Route("/check", site.check, methods=["POST"]),
             Route("/do/{name}", site.do, methods=["POST"]),
             WebSocketRoute("/stream", site.stream),
@@ -165,6 +178,7 @@ def _answering(
 class _Site:
     def __init__(self, rig: Rig, hub: Hub, wheel: Wheel) -> None:
         self._rig, self._hub, self._wheel = rig, hub, wheel
+        self._evaluations = Evaluations(rig.busy)
         self._texts: dict[str, tuple[Any, str]] = {}  # data of each topic, and their JSON
         self._published: dict[str, str] = {}  # message of each topic that all clients have
 
@@ -174,6 +188,7 @@ class _Site:
         task = asyncio.create_task(self._publish_changes())
         yield
         task.cancel()
+        self._evaluations.close()
 
     async def index(self, _: Request) -> Response:
         return FileResponse(PAGE / "index.html")
@@ -230,6 +245,54 @@ class _Site:
     @_answering
     async def check(self, request: Request) -> Response:
         return JSONResponse(plain(await self._rig.check(_parsed(Check, await _body(request)).text)))
+
+    @_answering
+    async def manual(self, request: Request) -> Response:
+        page = request.path_params["page"]
+        if page.endswith((".png", ".svg")):
+            return FileResponse(manual_file(page))
+        return HTMLResponse(manual_page(page))
+
+    @_answering
+    async def evaluations(self, request: Request) -> Response:
+        return JSONResponse(plain(await run_in_threadpool(self._evaluations.listed, self._folder(request))))
+
+    @_answering
+    async def preview(self, request: Request) -> Response:
+        asked = _parsed(Preview, await _body(request))
+        return JSONResponse(plain(await run_in_threadpool(self._evaluations.preview, self._folder(request), asked)))
+
+    @_answering
+    async def evaluate(self, request: Request) -> Response:
+        asked = _parsed(Evaluate, await _body(request))
+        self._wheel.require(request.state.session)
+        words = await run_in_threadpool(self._evaluations.start, self._folder(request), asked)
+        return JSONResponse({"message": words})
+
+    @_answering
+    async def previewed(self, request: Request) -> Response:
+        return FileResponse(self._evaluations.picture(request.path_params["name"]))
+
+    @_answering
+    async def evaluation_report(self, request: Request) -> Response:
+        report = self._evaluations.of(self._folder(request), request.path_params["name"]).report
+        if not report.is_file():
+            raise OperatorError("this evaluation has no report: 'fringedic report' writes it")
+        return FileResponse(report, headers={"Content-Security-Policy": REPORT_POLICY})
+
+    @_answering
+    async def export(self, request: Request) -> Response:
+        asked = _parsed(Export, json.dumps({key: each for key, each in request.query_params.items() if each}).encode())
+        packed = await run_in_threadpool(self._evaluations.export, self._folder(request), asked)
+        name = f"{asked.evaluation or request.path_params['folder'].replace(' ', '_')}_{asked.format}.zip"
+        return FileResponse(packed, filename=name, background=BackgroundTask(packed.unlink))
+
+    def _folder(self, request: Request) -> Path:
+        """Return the folder of the run that a request names."""
+        folder = self._rig.folders().get(request.path_params["folder"])
+        if folder is None:
+            raise OperatorError(f"there is no test {request.path_params['folder'][:60]}: choose one of the list")
+        return folder
 
     async def stream(self, socket: WebSocket) -> None:
         await socket.accept()

@@ -55,6 +55,10 @@ class RecordedRig:
         """Return the folder of the dataset, which also contains the report of a run."""
         return {"run": self._folder}
 
+    def busy(self) -> str:
+        """Return nothing: no test runs."""
+        return ""
+
     async def do(self, command: Any) -> str:  # noqa: ARG002 (that of `Rig`)
         """Refuse every command."""
         raise OperatorError(NO_RIG)

@@ -39,6 +39,7 @@ class SmallRig:
 
     folder: Path
     commands: list[Any] = field(default_factory=list)
+    occupied: str = ""
     state: dict[str, Any] = field(default_factory=lambda: {"rig": {"kind": "rig", "force": float("nan")}})
 
     def __post_init__(self) -> None:
@@ -61,6 +62,9 @@ class SmallRig:
 
     def folders(self) -> Mapping[str, Path]:
         return {"run": self.folder}
+
+    def busy(self) -> str:
+        return self.occupied
 
     async def check(self, text: str) -> dict[str, Any]:
         return {"rows": [], "count": 0, "words": text, "problem": ""}

@@ -1,13 +1,14 @@
 // The frame of the page: views, who drives, the hold button, the question that waits, and the state in one line.
 
+import "./help.js";
 import { button } from "./buttons.js";
 import { make, patch } from "./elements.js";
 import { questionParts } from "./procedure.js";
 import { command, forgetRefusal, newest, say } from "./server.js";
 import { connect, latest, listen } from "./stream.js";
 
-const OF_A_RIG = { setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", log: "Log" };
-const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D" };
+const OF_A_RIG = { setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate", log: "Log" };
+const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate" };
 const place = document.getElementById("view"), holdButton = document.getElementById("hold");
 const chosen = newest();
 let leave = () => {}, current = "", state = "";

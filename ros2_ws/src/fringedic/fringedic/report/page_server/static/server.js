@@ -45,9 +45,9 @@ export async function start(content) {
   return answer;
 }
 
-const post = (path, content) => fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
+export const post = (path, content) => fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
 
-async function sentence(answer) {
+export async function sentence(answer) {
   const text = await answer.text();
   try {
     return JSON.parse(text).message;
@@ -101,6 +101,9 @@ export async function checkProgramme(text) {
   if (!answer.ok) throw new Error(await sentence(answer));
   return answer.json();
 }
+
+// Named evaluations of a test, its steps and settings, and what is being computed.
+export const evaluations = async (folder) => (await get(`/evaluations/${encodeURIComponent(folder)}`)).json();
 
 export const palettes = async () => (await get("/palettes")).json();
 

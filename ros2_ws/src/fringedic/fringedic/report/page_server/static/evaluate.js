@@ -1,0 +1,163 @@
+// Other settings for a test: previewed on one step, then computed as a named evaluation beside its results; and exports.
+
+import { button, notDriving } from "./buttons.js";
+import { keep, make, options, patch } from "./elements.js";
+import { numberField, numbersField } from "./numbers.js";
+import { evaluations, newest, post, say, sentence, tried } from "./server.js";
+import { latest, listen } from "./stream.js";
+
+const POLL_MS = 2000;
+const KEYS = { window: "dic.window", spacing: "dic.spacing", strain_window: "coupling.strain_window_px", z_filter: "coupling.z_filter_px" };
+const FORMATS = { png: "pictures (PNG)", csv: "tables (CSV)", gif: "video (GIF)", vtk: "ParaView (VTK)", mat: "MATLAB", tiff: "maps (TIFF)" };
+const OUT_OF_FORM = "A field has no valid value: point at the marked one to read why.";
+let kept = null; // the view stays as it was left
+
+export function show(place) {
+  kept ??= new EvaluateView();
+  place.replaceChildren(kept.element);
+  return kept.enter();
+}
+
+class EvaluateView {
+  constructor() {
+    this.known = null;
+    this.newest = newest();
+    const change = () => patch(this.seen);
+    this.test = keep(make("select", { id: "test", onchange: () => this.look() }));
+    this.step = keep(make("select", { id: "preview-step" }));
+    this.fields = {
+      window: numberField({ id: "window", min: 8, max: 1000, whole: true, changed: change }),
+      spacing: numberField({ id: "spacing", min: 1, max: 100, whole: true, changed: change }),
+      strain_window: numberField({ id: "strain-window", min: 3, max: 5000, whole: true, changed: change }),
+      z_filter: numberField({ id: "z-filter", min: 0, max: 100, changed: change }),
+      reference: numberField({ id: "reference", min: 0, whole: true, changed: change }),
+      region: numbersField({ id: "region", count: 4, changed: change, placeholder: "left; top; right; bottom" }),
+      gauge: numbersField({ id: "gauge", count: 4, changed: change, placeholder: "column; row; column; row" }),
+    };
+    const text = (attributes) => keep(make("input", { type: "text", autocomplete: "off", ...attributes }));
+    this.name = text({ id: "name", maxlength: 60, placeholder: "fine" });
+    this.note = text({ id: "note", maxlength: 500, placeholder: "why" });
+    this.actions = make("div", { class: "row" });
+    this.seen = make("div", { id: "previewed" });
+    this.list = make("ol", { class: "list", id: "evaluations" });
+    this.format = keep(make("select", { id: "format", onchange: () => this.paint() }));
+    options(this.format, Object.entries(FORMATS));
+    this.exported = keep(make("select", { id: "exported", onchange: () => this.paint() }));
+    this.exportedStep = keep(make("select", { id: "exported-step", onchange: () => this.paint() }));
+    this.exports = make("div", { class: "row" });
+    this.notes = {};
+    const row = (title, key, unit) => make("label", {}, `${title} `, this.fields[key].input, unit ? ` ${unit}` : "", this.notes[key] = make("span", { class: "soft" }));
+    this.element = make("div", { class: "columns" },
+      make("section", {},
+        make("div", { class: "panel" },
+          make("div", { class: "row" }, make("label", {}, "Test ", this.test), make("label", {}, "Preview on step ", this.step)),
+          make("p", { class: "soft" }, "An empty field leaves the setting as it was recorded."),
+          make("div", { class: "row" }, row("Window", "window", "px"), row("Spacing", "spacing", "px"), row("Strain window", "strain_window", "px"), row("Filter of heights", "z_filter", "px")),
+          make("div", { class: "row" }, row("Reference step", "reference"), row("Region", "region", "px"), row("Extensometer", "gauge", "px")),
+          make("div", { class: "row" }, make("label", {}, "Name ", this.name), make("label", {}, "Note ", this.note)),
+          this.actions),
+        this.seen),
+      make("section", {},
+        make("div", { class: "panel" }, make("h2", {}, "Evaluations"), make("p", { class: "soft" }, "The results of the run are never changed."), this.list),
+        make("div", { class: "panel" }, make("h2", {}, "Export"),
+          make("div", { class: "row" }, make("label", {}, "Results ", this.exported), make("label", {}, "Steps ", this.exportedStep), make("label", {}, "As ", this.format), this.exports))));
+  }
+
+  enter() {
+    this.tests();
+    this.look();
+    const timer = setInterval(() => { if (this.known?.job?.state === "runs") this.look(); }, POLL_MS);
+    const ends = [listen("tests", () => this.tests()), listen("wheel", () => this.paint()), () => clearInterval(timer)];
+    return () => ends.forEach((end) => end());
+  }
+
+  tests() {
+    const named = (latest("tests") ?? []).map(({ name }) => [`test ${name}`, name]);
+    options(this.test, latest("rig")?.kind === "recording" || !named.length ? [["run", "this test"]] : named);
+  }
+
+  async look() {
+    const folder = this.test.value;
+    const found = await tried(this.newest(evaluations(folder)));
+    if (!found) return;
+    const was = this.known?.job?.state;
+    this.known = { ...found, folder };
+    options(this.step, found.steps.map((step) => [step, step]), this.step.value || found.steps.at(-1));
+    options(this.exported, [["", "of the run"], ...found.evaluations.map(({ name }) => [name, name])]);
+    options(this.exportedStep, [["", "all"], ...found.steps.map((step) => [step, step])]);
+    for (const [key, value] of Object.entries(found.settings)) this.notes[key].textContent = value === null ? "" : ` (was ${value})`;
+    if (was === "runs" && found.job.state !== "runs") say(found.job.words);
+    this.paint();
+  }
+
+  // The settings of the fields, or null when one has no valid value.
+  settings() {
+    const values = Object.fromEntries(Object.entries(this.fields).map(([key, { found }]) => [key, found()]));
+    if (Object.values(values).includes(undefined)) { say(OUT_OF_FORM); return null; }
+    const overrides = Object.fromEntries(Object.entries(KEYS).filter(([key]) => values[key] !== null).map(([key, name]) => [name, values[key]]));
+    const [left, top, right, bottom] = values.region ?? [], [width, height] = this.known.size ?? [];
+    const corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
+    return {
+      overrides,
+      reference: values.reference,
+      region: values.region ? JSON.stringify({ width, height, polygons: [{ points: corners, hole: false }] }) : "",
+      gauges: values.gauge ? [{ name: "1", first: values.gauge.slice(0, 2), second: values.gauge.slice(2) }] : null,
+      note: this.note.value.trim(),
+    };
+  }
+
+  async preview() {
+    const settings = this.settings();
+    if (!settings) return;
+    patch(this.seen, make("p", { class: "soft", role: "status" }, `Step ${this.step.value} is measured with these settings…`));
+    const found = await tried(this.send("/preview", { step: Number(this.step.value), settings }));
+    if (!found) { patch(this.seen); return; }
+    const picture = (name) => make("img", { src: `/preview/${name}?${found.made}`, alt: `maps ${name}` });
+    patch(this.seen, make("div", { class: "panel" },
+      make("div", { class: "scroll" }, make("table", {},
+        make("thead", {}, make("tr", {}, ...["", "before", "with the settings"].map((each) => make("th", {}, each)))),
+        make("tbody", {}, ...found.rows.map(({ quantity, unit, before, after }) => make("tr", {}, ...[`${quantity} [${unit}]`, before, after].map((each) => make("td", {}, each))))))),
+      ...(found.pictures ? [picture("before"), picture("after")] : [])));
+  }
+
+  async evaluate() {
+    const settings = this.settings(), name = this.name.value.trim();
+    if (!settings) return;
+    const found = await tried(this.send("", { name, settings }));
+    if (found) say(found.message);
+    await this.look();
+  }
+
+  async send(path, content) {
+    const answer = await post(`/evaluations/${encodeURIComponent(this.known.folder)}${path}`, content);
+    if (!answer.ok) throw new Error(await sentence(answer));
+    return answer.json();
+  }
+
+  paint() {
+    const { evaluations: made = [], job = {}, folder = "" } = this.known ?? {};
+    const none = this.known ? "" : "This test has no results.", runs = job.state === "runs" ? `${job.name} is being computed.` : "";
+    patch(this.actions,
+      button("Preview", { id: "preview", why: none || runs, onclick: () => this.preview() }),
+      button("Evaluate all steps", { id: "evaluate", class: "main", why: notDriving() || none || runs, onclick: () => this.evaluate() }));
+    const at = `/evaluations/${encodeURIComponent(folder)}`;
+    patch(this.list,
+      job.state === "runs" ? make("li", { class: "now", "data-key": "job" }, `${job.name}: is being computed`, make("progress", { "aria-label": "progress" })) : null,
+      job.state === "failed" ? make("li", { class: "bad", "data-key": "job" }, `${job.name}: ${job.words}`) : null,
+      ...made.map(({ name, settings, report }) => make("li", { class: "good", "data-key": `of-${name}` }, make("strong", {}, name),
+        make("p", { class: "soft" }, words(settings)),
+        report ? make("a", { href: `${at}/${encodeURIComponent(name)}/report`, target: "_blank", rel: "noopener" }, "Report") : null)));
+    const query = new URLSearchParams({ format: this.format.value, evaluation: this.exported.value, step: this.exportedStep.value });
+    patch(this.exports, none ? make("span", { class: "soft" }, none)
+      : make("a", { href: `/export/${encodeURIComponent(folder)}?${query}`, id: "download", download: "" }, "Download"));
+  }
+}
+
+function words({ overrides = {}, reference, region, gauges, note }) {
+  const parts = Object.entries(overrides).map(([name, value]) => `${name} = ${value}`);
+  if (reference !== undefined) parts.push(`reference step ${reference}`);
+  if (region) parts.push("another region");
+  if (gauges) parts.push("other extensometers");
+  if (note) parts.push(note);
+  return parts.join("; ") || "as recorded";
+}
