@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,13 +21,14 @@ from fringedic.datasets.attributes import recorded_calibration, sensor_of
 from fringedic.datasets.confirmation import confirmed_fraction
 from fringedic.datasets.opening import RESULTS, open_experiment
 from fringedic.datasets.processing import DATASETS, process_bag
-from fringedic.datasets.quantities import CLOSURES
+from fringedic.datasets.quantities import ATTACHMENTS, CLOSURES
 from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import FringedicError
 from fringedic.evidence.log import Entry
 from fringedic.provenance import differences, processor, software_identity
 from fringedic.recording.bag_files import BAG
 from fringedic.rig.model import RigModel
+from fringedic.signals import attachment_digests
 from fringedic.wording.numbers import counted, number_text
 
 _SHOWN = 5  # differences in a sentence
@@ -52,6 +54,13 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     settings: Mapping[str, Any] = noted[-1].details[DATASETS][path.name] if noted else {}
     try:
         with tempfile.TemporaryDirectory(prefix="fringedic-audit-") as folder, open_experiment(path) as stored:
+            if json.loads(stored.attrs.get(ATTACHMENTS, "{}")) != attachment_digests(bag):
+                return Part(
+                    name,
+                    Result.OPEN,
+                    "made with other attached files than those of now",
+                    f"'fringedic process {bag} --overwrite' makes results with those of now",
+                )
             again = process_bag(
                 bag,
                 output=Path(folder) / f"again{path.suffix}",

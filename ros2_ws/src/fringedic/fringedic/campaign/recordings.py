@@ -20,6 +20,7 @@ from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
 from fringedic.recording.topics import EXPOSURE, IMAGE
+from fringedic.signals import attachment_digests
 from fringedic.wording.path_names import recording_names
 
 
@@ -148,7 +149,7 @@ def _inside(path: Path) -> Iterator[Path]:
 
 
 def fingerprint(path: str) -> dict[str, tuple[int, int]]:
-    """Return size and CRC-32 of the index of each file of a recording.
+    """Return size and CRC-32 of the index of each file of a recording, and CRC-32 of each attachment.
 
     Raises
     ------
@@ -166,6 +167,8 @@ def fingerprint(path: str) -> dict[str, tuple[int, int]]:
                 f"run --follow' processes it while it is recorded, 'fringedic recover {path}' writes a complete one"
             )
         found[file.name] = (file.stat().st_size, zlib.crc32(index))
+    for name, digest in attachment_digests(path).items():
+        found[f"attached {name}"] = (0, zlib.crc32(digest.encode()))
     return found
 
 

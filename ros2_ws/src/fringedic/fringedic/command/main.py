@@ -9,7 +9,18 @@ from typing import Any, NoReturn
 
 import typer
 
-from fringedic.command import calibration, campaign, evaluations, evidence, images, models, recordings, rig_setup, view
+from fringedic.command import (
+    attachments,
+    calibration,
+    campaign,
+    evaluations,
+    evidence,
+    images,
+    models,
+    recordings,
+    rig_setup,
+    view,
+)
 from fringedic.command.app import app
 from fringedic.command.plugins import load_commands, ros_as_sentence
 from fringedic.command.terminal import Terminal
@@ -20,6 +31,7 @@ from fringedic.wording.control_characters import visible
 # importing them adds their subcommands
 __all__ = [
     "app",
+    "attachments",
     "calibration",
     "campaign",
     "evaluations",

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.datasets.quantities import (
+    ATTACHMENTS,
     LATER_REFERENCES,
     MAP_DIMENSIONS,
     METADATA_ATTRIBUTE,
@@ -32,6 +33,7 @@ JSON_ATTRIBUTES = {
     "parameters": list,
     "rig": dict,
     METADATA_ATTRIBUTE: dict,
+    ATTACHMENTS: dict,
     MISSING_PARTS: list,
     MISSING_SETTINGS: list,
     LATER_REFERENCES: list,

@@ -17,6 +17,7 @@ from fringedic.datasets.checksums import open_checked
 from fringedic.datasets.earlier_versions import translate
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.datasets.quantities import (
+    ATTACHMENTS,
     MAP_DIMENSIONS,
     MISSING_PARTS,
     RECORDING,
@@ -30,7 +31,7 @@ from fringedic.errors import DatasetError, ErrorCode, RecordingError
 from fringedic.frames.sensor import SENSOR, choice_of_sensors
 from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
-from fringedic.signals import FORCE, POSITION
+from fringedic.signals import FORCE, POSITION, attachment_digests
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
 from fringedic.wording.optional_packages import optional_import
@@ -240,6 +241,11 @@ def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
     size = str(recorded_bytes(recording))
     if size not in ("0", attributes.get(SOURCE_BYTES, size)):
         return f"was made when {recording} had another size; 'fringedic process {recording} --overwrite' makes it again"
+    if json.loads(attributes.get(ATTACHMENTS, "{}")) != attachment_digests(recording):
+        return (
+            f"was made before files were attached to {recording}, or removed; 'fringedic process {recording} "
+            "--overwrite' makes it with the signals of those that are attached now"
+        )
     return ""
 
 

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.datasets.derived import Collected
-from fringedic.datasets.quantities import LATER_REFERENCES, MISSING_PARTS, MISSING_SETTINGS, PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.quantities import (
+    ATTACHMENTS,
+    LATER_REFERENCES,
+    MISSING_PARTS,
+    MISSING_SETTINGS,
+    PHASE_TOPICS,
+    SOURCE_BYTES,
+)
 from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.datasets.sentences import lost_references_sentence
 from fringedic.datasets.stores import Store, dataset_path
@@ -411,6 +418,8 @@ def _write(
     attributes[SOURCE_BYTES] = str(timeline.source_bytes)
     if timeline.damage:
         attributes["damage"] = timeline.damage
+    if timeline.attachments:
+        attributes[ATTACHMENTS] = json.dumps(timeline.attachments)
     if timeline.missing_parts:
         attributes[MISSING_PARTS] = json.dumps(timeline.missing_parts)
     if timeline.later_references:

@@ -15,6 +15,7 @@ MAP_DIMENSIONS = ("step", "row", "column")
 TEXT = "text"  # type of a variable that NumPy has no name for
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
+ATTACHMENTS = "attachments"  # attribute: SHA-256 of the descriptions of attached files by their names, as JSON
 MISSING_PARTS = "missing_parts"  # attribute: names of later parts of the run that the dataset lacks, as a JSON list
 LATER_REFERENCES = "later_references"  # attribute: references in place of one that is not recorded, as a JSON list
 MISSING_SETTINGS = "missing_settings"  # attribute: nodes whose settings were not recorded, as a JSON list

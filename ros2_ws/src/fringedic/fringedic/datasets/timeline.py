@@ -18,7 +18,15 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.reader import BagReader
-from fringedic.signals import FORCE, SIGNAL_TOPICS, Signal, SignalValue, signals_of
+from fringedic.signals import (
+    FORCE,
+    SIGNAL_TOPICS,
+    Signal,
+    SignalValue,
+    attachment_digests,
+    signals_of,
+    with_attachments,
+)
 from fringedic.steps.recorded_parameters import of_specimen, recorded_metadata, with_specimen
 from fringedic.steps.recorded_references import REFERENCE, REFERENCE_TOPICS, STEP, RecordedReferences
 from fringedic.steps.recorded_rig import EXPERIMENT, missing_settings
@@ -52,6 +60,8 @@ class Timeline:
     source, source_bytes, damage, missing_parts
         Name of the recording, size of its files [byte], the description of its damage, and the names of later parts of
         the same run that were not joined with it.
+    attachments
+        SHA-256 of the descriptions of attached files by their names.
     missing_settings
         Nodes whose settings are not in the recording, so that defaults are used.
     references
@@ -61,7 +71,8 @@ class Timeline:
     later_references
         Reference steps that took the place of one which the recording does not contain.
     signals
-        The signals of the rig by their name; sign and tare of the specimen's metadata apply to the force.
+        The signals of the rig and of the attachments by their name; sign and tare of the specimen's metadata apply to
+        the force.
     rejected
         Step -> why it failed, of steps whose frames cannot be trusted: no hold was proven, or they are not complete.
 
@@ -96,6 +107,8 @@ class Timeline:
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
         recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))
         observed = recorded[FORCE.name].stamps.size > 0
+        self.attachments = attachment_digests(reader.path)
+        recorded = with_attachments(recorded, reader.path)
         self.rejected = (_interrupted(stages) if observed else {}) | {
             each.step: each.error_message
             for each in stages
@@ -115,7 +128,7 @@ class Timeline:
         entries = of_specimen(overrides or {})
         specimen = with_specimen(recorded_metadata(messages("node_parameters")), entries).specimen
         self.missing_settings = missing_settings(reader, exposed)
-        if observed:
+        if recorded[FORCE.name].stamps.size:
             self._require_sign_and_tare(entries, specimen)
         self._sign, self._tare = specimen.force_sign, self._force_tare(specimen)
         self.signals = {name: self._corrected(signal) for name, signal in recorded.items()}

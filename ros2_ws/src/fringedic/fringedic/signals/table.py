@@ -11,10 +11,10 @@ import numpy as np
 
 from fringedic.errors import RecordingError
 from fringedic.signals.signal import FORCE, POSITION, Channel, Signal
+from fringedic.signals.units import QUANTITIES
 from fringedic.wording.causes import cause_of
 
 _HEADING = re.compile(r"\s*(?P<name>\S(?:.*\S)?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
-_QUANTITIES = {"N": "force", "m": "length", "K": "temperature", "Pa": "pressure", "V": "voltage", "Nm": "torque"}
 _SIGMA = "sigma "
 _LATEST = 9_000_000_000  # [s] that int64 contains in nanoseconds
 
@@ -68,7 +68,7 @@ def read_table(path: Path) -> dict[str, Signal]:
     signals = {}
     for name in (name for name in values if not name.startswith(_SIGMA)):
         known = next((each for each in (FORCE, POSITION) if (each.name, each.unit) == (name, columns[name])), None)
-        channel = known or Channel(name, _QUANTITIES.get(columns[name], ""), columns[name])
+        channel = known or Channel(name, QUANTITIES.get(columns[name], ""), columns[name])
         sigmas = values.get(_SIGMA + name, [np.nan] * len(stamps))
         arrays = (np.array([float(each) for each in column]) for column in (values[name], sigmas))
         signals[name] = Signal(channel._replace(source=path.name), stamps, *arrays)

@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.ndimage import gaussian_filter
 
+from fringedic.campaign.recordings import fingerprint
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.datasets import MAPS, dataset_from_derived, open_experiment, process_bag
@@ -42,7 +43,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
 from fringedic.report.tables import step_columns
-from fringedic.signals import Channel, Signal
+from fringedic.signals import Channel, Signal, attach, remove_attachment
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
@@ -774,6 +775,29 @@ def test_another_sensor_is_in_the_dataset_beside_force_and_position(processed):
     assert {"force [N]", "position [mm]", "temperature_grip [K]", "sigma of temperature_grip [K]"} <= set(headings)
     with pytest.raises(DatasetError, match="no samples of a signal 'voltage', only those of: force, position, temp"):
         signal_series(processed, "voltage")
+
+
+def test_attached_signals_are_in_the_dataset_until_they_are_removed(bench, tmp_path):
+    shutil.copytree(bench.bag, tmp_path / "plate")
+    file = tmp_path / "machine.csv"
+    file.write_text(
+        "time [s];Load [kN];grip [degC]\n" + "".join(f"{n / 10};{0.5 + n};20,5\n".replace(",", ".") for n in range(50))
+    )
+    attach(tmp_path / "plate", file, offset=(0.0, 0.0), sigmas={"force": 3.0}, instead=True)
+    path = process_bag(tmp_path / "plate", steps=[0, 1])
+    with open_experiment(tmp_path / "plate") as dataset:
+        assert dataset["grip"].values == pytest.approx([293.65, 293.65])
+        assert dataset["force"].attrs["source"] == "machine"
+        assert (dataset["force_sigma"].values >= 3.0).all()
+        begin = dataset["force_series"].attrs["units"], dataset["force_time"].values[0].astype(np.int64)
+        assert begin == ("N", BagReader(tmp_path / "plate").start_time)
+        assert json.loads(dataset.attrs["attachments"]).keys() == {"machine.csv"}
+    planned = fingerprint(str(tmp_path / "plate"))
+    remove_attachment(tmp_path / "plate", "machine.csv")
+    assert fingerprint(str(tmp_path / "plate")) != planned
+    with pytest.raises(DatasetError, match=r"was made before files were attached to .*, or removed"):
+        open_experiment(tmp_path / "plate")
+    assert path.exists()
 
 
 def test_signals_of_any_names_have_their_own_variables(tmp_path):

@@ -1,0 +1,1 @@
+"""Exports of testing machines and data acquisition: text files whose structure is recognised, and can be given."""
