@@ -59,7 +59,7 @@ for port in map(int, sys.argv[1:]):
             status = getattr(getattr(error, "response", None), "status_code", type(error).__name__)
             answers[port] += f", WebSocket {status}"
 readable = 0
-memory = list(Path("/dev/shm").glob("fastrtps_*"))
+memory = list(Path("/dev/shm").glob("fast*_*"))
 memory = [path for path in memory if not path.name.endswith(("_el", "_sl")) and path.stat().st_uid != os.getuid()]
 for path in memory:
     try:

@@ -24,11 +24,11 @@ else
     CMAKE_PREFIX_PATH=$_fringedic_install${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}
     LD_LIBRARY_PATH=$_fringedic_install/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 fi
-# libraries that correct the middleware; they are loaded before the C library
+# libraries that correct Fast DDS; they are loaded before the C library
 for _fringedic_library in "$_fringedic_venv/lib/unlimited_wait.so" "$_fringedic_venv/lib/private_memory.so"; do
-    case :${LD_PRELOAD:-}: in
+    case ${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}:${LD_PRELOAD:-}: in
     *:$_fringedic_library:*) ;;
-    *) [ ! -f "$_fringedic_library" ] || export LD_PRELOAD=$_fringedic_library${LD_PRELOAD:+:$LD_PRELOAD} ;;
+    rmw_fastrtps*) [ ! -f "$_fringedic_library" ] || export LD_PRELOAD=$_fringedic_library${LD_PRELOAD:+:$LD_PRELOAD} ;;
     esac
 done
 PATH=$_fringedic_venv/bin:$_fringedic_install/bin:$PATH

@@ -11,18 +11,20 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#define OF_THE_MIDDLEWARE "/dev/shm/fastrtps_"
+// of version 2, and of later ones
+static const char *const beginnings[] = {"/dev/shm/fastrtps_", "/dev/shm/fastdds_"};
 
 int fchmod(int file, mode_t mode)
 {
     static int (*of_the_c_library)(int, mode_t); // every thread finds the same
-    char link[32], name[sizeof OF_THE_MIDDLEWARE];
+    char link[32], name[32] = "";
 
     if (!of_the_c_library)
         of_the_c_library = (int (*)(int, mode_t))dlsym(RTLD_NEXT, "fchmod");
     snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-    ssize_t length = readlink(link, name, sizeof name - 1);
-    if (length == sizeof name - 1 && !memcmp(name, OF_THE_MIDDLEWARE, length))
-        mode &= S_IRUSR | S_IWUSR;
+    if (readlink(link, name, sizeof name - 1) > 0)
+        for (int i = 0; i < 2; i++)
+            if (!strncmp(name, beginnings[i], strlen(beginnings[i])))
+                mode &= S_IRUSR | S_IWUSR;
     return of_the_c_library(file, mode);
 }

@@ -13,7 +13,8 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
 from fringedic.command.outcome import RunReport
-from fringedic_bringup.launch.environment import node_environment, private_domain, remove_stale_segments
+from fringedic_bringup.launch.environment import node_environment, private_domain
+from fringedic_ros import middleware
 
 SHOWN_MS = 30_000  # until the page shows what a test waits for, on a busy computer
 
@@ -27,7 +28,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def domain() -> Iterator[str]:
     """Give each module a ROS domain of its own, without nodes of other modules, and check that nothing is left."""
-    remove_stale_segments()
+    middleware.remove_leftovers()
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in {**node_environment(number), "ROS_PYTHON_CHECK_FIELDS": "1"}.items():
             patch.setenv(name, value)

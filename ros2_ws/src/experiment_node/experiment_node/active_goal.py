@@ -14,7 +14,7 @@ from rclpy.task import Future
 
 from fringedic.errors import WaitTimeoutError
 from fringedic_msgs.action import MeasureStep
-from fringedic_ros.matching import discovered_servers
+from fringedic_ros.middleware import servers_of
 from fringedic_ros.waiting import Condition, until
 
 LOOK_S = 0.5  # between two looks for the server of a request
@@ -116,7 +116,7 @@ class ActiveGoal:
 
     async def _ask(self, client: Client, request: Any, timeout_s: float) -> tuple[Future, bool]:
         """Send a request; return its response, which may not be done, and whether a server of it has ended."""
-        servers, ended, left = discovered_servers(self._node, client.srv_name), False, timeout_s
+        servers, ended, left = servers_of(self._node, client.srv_name), False, timeout_s
         response = client.call_async(request)
         response.add_done_callback(lambda _: self._changed.notify())
         try:
@@ -124,7 +124,7 @@ class ActiveGoal:
                 with suppress(WaitTimeoutError):
                     await self._changed.wait(lambda: self._cancelled or response.done(), min(left, LOOK_S))
                 left -= LOOK_S
-                ended = not response.done() and not servers <= discovered_servers(self._node, client.srv_name)
+                ended = not response.done() and not servers <= servers_of(self._node, client.srv_name)
         finally:
             client.remove_pending_request(response)
         return response, ended

@@ -19,11 +19,12 @@ from fringedic.configuration.programme import Programme
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch import processes
-from fringedic_bringup.launch.environment import SHARED_MEMORY, node_environment, private_domain, remove_stale_segments
+from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.launch.graph import COMPOSED, Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.run import load_rig
+from fringedic_ros.middleware.fast_dds import SHARED_MEMORY, remove_stale_segments
 from fringedic_ros.presence import is_announced
 
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
@@ -44,7 +45,11 @@ class Silent:
 def shared_memory_of(pid: int) -> set[str]:
     """Return the Fast DDS segments whose lock file a process holds open."""
     opened = (os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink())
-    return {Path(path).name.removesuffix("_el") for path in opened if path.startswith("/dev/shm/fastrtps_")}
+    return {
+        Path(path).name.removesuffix("_el")
+        for path in opened
+        if path.startswith(("/dev/shm/fastrtps_", "/dev/shm/fastdds_"))
+    }
 
 
 def users(segment: str) -> dict[str, str]:
@@ -193,7 +198,7 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
 
 def test_a_client_that_has_ended_keeps_no_shared_memory() -> None:
     def mapped() -> set[str]:
-        return set(re.findall(r"fastrtps_[0-9a-f]{16}", Path("/proc/self/maps").read_text()))
+        return set(re.findall(r"fast(?:rtps|dds)_[0-9a-f]{16}", Path("/proc/self/maps").read_text()))
 
     gc.disable()  # the memory has to be released without the collector
     before = mapped()  # by participants of this process that wait for the collector
@@ -206,8 +211,9 @@ def test_a_client_that_has_ended_keeps_no_shared_memory() -> None:
         gc.enable()
 
 
-def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
-    used, stale = SHARED_MEMORY / "fastrtps_00000000000000aa", SHARED_MEMORY / "fastrtps_00000000000000bb"
+@pytest.mark.parametrize("version", ["fastrtps", "fastdds"])
+def test_shared_memory_in_use_is_left_alone_and_the_rest_removed(version: str) -> None:
+    used, stale = SHARED_MEMORY / f"{version}_00000000000000aa", SHARED_MEMORY / f"{version}_00000000000000bb"
     for path in (used, stale, used.with_name(f"{used.name}_el"), stale.with_name(f"{stale.name}_el")):
         path.write_bytes(b"segment")
     try:
@@ -220,12 +226,13 @@ def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
         remove_stale_segments()
         assert not used.exists()
     finally:
-        for path in SHARED_MEMORY.glob("fastrtps_00000000000000*"):
+        for path in SHARED_MEMORY.glob(f"{version}_00000000000000*"):
             path.unlink(missing_ok=True)
 
 
-def test_the_port_of_a_killed_node_stays_for_its_successor_while_its_domain_is_used() -> None:
-    killed, other = (SHARED_MEMORY / f"fastrtps_port{7400 + 250 * 225 + number}" for number in (10, 12))
+@pytest.mark.parametrize("version", ["fastrtps", "fastdds"])
+def test_the_port_of_a_killed_node_stays_for_its_successor_while_its_domain_is_used(version: str) -> None:
+    killed, other = (SHARED_MEMORY / f"{version}_port{7400 + 250 * 225 + number}" for number in (10, 12))
     try:
         for path in (killed, other):
             path.write_bytes(b"port")

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from fringedic.wording.numbers import number_text
-
-if TYPE_CHECKING:  # the name of this module depends on the distribution
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
+from fringedic_ros.middleware import Endpoint
 
 MOST_AHEAD_S = 0.1  # by which a stamp may be later than the arrival of its message: synchronised clocks differ by less
 MOST_BEHIND_S = 1.0  # by which it may be earlier
@@ -191,7 +190,7 @@ def mismatches(node: Node, topic: str) -> str:
     return ""
 
 
-def _mismatch(topic: str, publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> str:
+def _mismatch(topic: str, publisher: Endpoint, reader: Endpoint) -> str:
     here, there = _names([publisher]), _names([reader])
     if publisher.topic_type != reader.topic_type:
         return f"{here} publishes {topic} with the type {publisher.topic_type}; {there} needs {reader.topic_type}"
@@ -208,14 +207,14 @@ def _mismatch(topic: str, publisher: TopicEndpointInfo, reader: TopicEndpointInf
     )
 
 
-def _incompatibility(publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> str:
+def _incompatibility(publisher: Endpoint, reader: Endpoint) -> str:
     """Return why two endpoints of one type do not match; empty when they do."""
     if _defined_otherwise(publisher, reader):
         return "another definition"
     return _qos_incompatibility(publisher.qos_profile, reader.qos_profile)
 
 
-def _defined_otherwise(publisher: TopicEndpointInfo, reader: TopicEndpointInfo) -> bool:
+def _defined_otherwise(publisher: Endpoint, reader: Endpoint) -> bool:
     hashes = publisher.topic_type_hash, reader.topic_type_hash
     return all(each.version > 0 for each in hashes) and hashes[0] != hashes[1]  # older versions of ROS 2 have none
 
@@ -228,7 +227,7 @@ def _qos_incompatibility(offered: QoSProfile, wanted: QoSProfile) -> str:
     return ", ".join(part[:1].lower() + part[1:] for part in each)
 
 
-def _publishers(node: Node, kind: type[Any], topic: str) -> list[TopicEndpointInfo]:
+def _publishers(node: Node, kind: type[Any], topic: str) -> Sequence[Endpoint]:
     return [each for each in node.get_publishers_info_by_topic(topic) if each.topic_type == _type_name(kind)]
 
 
@@ -236,7 +235,7 @@ def _type_name(kind: type[Any]) -> str:
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
-def _names(endpoints: list[TopicEndpointInfo]) -> str:
+def _names(endpoints: Sequence[Endpoint]) -> str:
     return ", ".join(sorted({f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in endpoints}))
 
 

@@ -17,8 +17,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_default_context
 
 from fringedic.errors import FringedicError
+from fringedic_ros import middleware
 from fringedic_ros.parameters import report_unknown_parameters
-from fringedic_ros.participant_number import choose_participant_number
 from fringedic_ros.presence import announce
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -47,7 +47,7 @@ def run(*makers: Callable[[], Node]) -> int:
     nodes: list[Node] = []
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-        choose_participant_number(get_default_context().get_domain_id())
+        middleware.enter(get_default_context().get_domain_id())
         executor = SingleThreadedExecutor()
         for make in makers:
             nodes.append(node := make())

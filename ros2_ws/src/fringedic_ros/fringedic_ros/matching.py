@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.task import Future
 
 from fringedic_msgs.srv import CountReaders
-
-if TYPE_CHECKING:  # the name of this module depends on the distribution
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
+from fringedic_ros.middleware import process_of
 
 ASK_AGAIN_S = 0.05  # [s] after a response with missing readers
 UNANSWERED_S = 1.0  # [s] after which a request may be lost, or its server has ended
-_PREFIX = 12  # bytes of an identifier that all endpoints of a process share (DDS-RTPS 2.5, 9.3.1.1)
 
 
 def offer_reader_counts(node: Node, name: str) -> None:
@@ -41,37 +37,20 @@ def discovered_readers(node: Node, topic: str) -> str:
     return " ".join(sorted(bytes(each.endpoint_gid).hex() for each in found))
 
 
-def discovered_servers(node: Node, service: str) -> frozenset[bytes]:
-    """Return the GIDs of the servers of a service that a node has discovered, those of the writers of their responses.
-
-    Neither the number of servers nor their names change when a node is replaced by its successor. Responses have a
-    topic of their own (design.ros2.org, "Topic and Service name mapping to DDS").
-    """
-    responses = f"rr{node.resolve_service_name(service)}Reply"
-    return frozenset(bytes(each.endpoint_gid) for each in node.get_publishers_info_by_topic(responses, no_mangle=True))
-
-
 def shares_process(node: Node, topic: str, witness: str) -> bool:
     """Return whether all publishers of `topic` are in a process that publishes the topic `witness`; see `is_read_by`.
 
     Nodes of one process pass results to each other without messages.
     """
-    witnesses = {_participant(each) for each in node.get_publishers_info_by_topic(witness)}
-    publishers = {_participant(each) for each in node.get_publishers_info_by_topic(topic)}
+    witnesses = {process_of(each) for each in node.get_publishers_info_by_topic(witness)}
+    publishers = {process_of(each) for each in node.get_publishers_info_by_topic(topic)}
     return bool(publishers) and publishers <= witnesses
 
 
 def is_read_by(node: Node, topic: str, witness: str) -> bool:
-    """Return whether a process that publishes the topic `witness` subscribes to `topic`, as `node` has discovered them.
-
-    Processes are known earlier than the names of their nodes.
-    """
-    witnesses = {_participant(each) for each in node.get_publishers_info_by_topic(witness)}
-    return any(_participant(each) in witnesses for each in node.get_subscriptions_info_by_topic(topic))
-
-
-def _participant(endpoint: TopicEndpointInfo) -> bytes:
-    return bytes(endpoint.endpoint_gid[:_PREFIX])
+    """Return whether a process that publishes `witness` subscribes to `topic`, as `node` has discovered them."""
+    witnesses = {process_of(each) for each in node.get_publishers_info_by_topic(witness)}
+    return any(process_of(each) in witnesses for each in node.get_subscriptions_info_by_topic(topic))
 
 
 class Matching:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, Self
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from fringedic.errors import WaitTimeoutError
-from fringedic_ros.matching import discovered_servers
+from fringedic_ros.middleware import servers_of
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _POLL_S = 0.01
@@ -209,7 +209,7 @@ class LongRequest(RepeatedRequest):
     def __init__(self, node: Node, client: Client, request: Any) -> None:
         super().__init__(client, request)
         self._node = node
-        self._servers, self._absence = frozenset[bytes](), Patience(LOST_S)
+        self._servers, self._absence = frozenset[Hashable](), Patience(LOST_S)
         self._most_sent = 1
         self.loss = ""
 
@@ -218,7 +218,7 @@ class LongRequest(RepeatedRequest):
         return self.is_answered() or bool(self.loss)
 
     def _send_when_due(self) -> None:
-        servers = discovered_servers(self._node, self._client.srv_name)
+        servers = servers_of(self._node, self._client.srv_name)
         if self._servers - servers:
             # twice: a server that was started again may not know the reader of its responses yet
             self._most_sent, self._next_s = len(self._sent) + 2, 0.0

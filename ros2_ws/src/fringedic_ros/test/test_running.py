@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -31,7 +31,7 @@ from fringedic_msgs.msg import Exposure
 from fringedic_ros import waiting
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_message
-from fringedic_ros.matching import discovered_servers
+from fringedic_ros.middleware import servers_of
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.qos import DIAGNOSTICS, IMAGES
 from fringedic_ros.serialized import image_view
@@ -327,8 +327,8 @@ def test_a_long_request_is_sent_again_to_a_server_that_took_the_place_of_another
     def eventually(done: Callable[[], bool]) -> None:
         spinning.run(until, asker, done, 60.0, timeout_s=120.0)
 
-    def servers() -> frozenset[bytes]:
-        return discovered_servers(asker, "serve")
+    def servers() -> frozenset[Hashable]:
+        return servers_of(asker, "serve")
 
     eventually(lambda: client.service_is_ready() and len(servers()) == 1)
     first = servers()

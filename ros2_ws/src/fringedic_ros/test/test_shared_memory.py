@@ -18,7 +18,16 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import Int64
 
-from fringedic_ros.participant_number import AUTOMATIC, NUMBERS, VARIABLE, choose_participant_number, port_exists
+from fringedic_ros.middleware.fast_dds import (
+    AUTOMATIC,
+    NUMBERS,
+    SHARED_MEMORY,
+    VARIABLE,
+    choose_participant_number,
+    memory_of_port,
+    name_of_version,
+    port_exists,
+)
 from fringedic_ros.spinning import Spinning
 
 STOOD_STILL_S = 2.5  # a busy computer lets threads wait as long
@@ -56,7 +65,7 @@ def receives(log: Path) -> bool:
 def own_port(pid: int) -> Path:
     """Return the memory of a process's port for user data; it has the lock open. Ports below serve the graph."""
     opened = [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
-    locked = [found for path in opened if (found := re.fullmatch(r"(/dev/shm/fastrtps_port(\d+))_el", path))]
+    locked = [found for path in opened if (found := re.fullmatch(r"(/dev/shm/fast(?:rtps|dds)_port(\d+))_el", path))]
     (port,) = [found[1] for found in locked if int(found[2]) >= 7400]
     return Path(port)
 
@@ -107,7 +116,9 @@ def test_the_port_of_a_node_that_stood_still_is_not_replaced(tmp_path: Path) -> 
 
 def test_a_number_is_chosen_whose_port_does_not_exist(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(AUTOMATIC))
-    left = [Path(f"/dev/shm/fastrtps_port{7400 + 250 * domain + 2 * number + 11}_el") for number in range(NUMBERS)]
+    memories = [memory_of_port(domain, number) for number in range(NUMBERS)]
+    assert memories[3].name.endswith(f"_port{7400 + 250 * domain + 2 * 3 + 11}")
+    left = [memory.with_name(f"{memory.name}_el") for memory in memories]
     made = [path for path in left if not path.exists()]
     try:
         for path in made:
@@ -143,9 +154,21 @@ def test_another_user_cannot_open_the_memory_of_a_node(tmp_path: Path) -> None:
     with reader(tmp_path / "log") as process:
         assert receives(tmp_path / "log")
         maps = Path(f"/proc/{process.pid}/maps").read_text()
-        used = sorted(set(re.findall(r"/dev/shm/fastrtps_\w+", maps)))
+        used = sorted(set(re.findall(r"/dev/shm/fast(?:rtps|dds)_\w+", maps)))
         assert len(used) >= 3, "its memory, that of its ports, and that of the publisher"
         receiving = [each.laddr for each in psutil.Process(process.pid).net_connections() if each.laddr.port < SENDING]
         opened = subprocess.run([sys.executable, "-c", OPEN_ALL, *used], stdout=subprocess.PIPE, text=True, check=True)
     assert {address.ip for address in receiving} == {"127.0.0.1"}
     assert not opened.stdout, "setup/environment.sh loads private_memory.so"
+
+
+@pytest.mark.parametrize("distribution", ["jazzy", "kilted"])
+def test_only_the_owner_may_read_memory_with_the_name_of_each_version(distribution: str) -> None:
+    """`private_memory.so` takes away the permission that the middleware gives to others."""
+    memory = SHARED_MEMORY / f"{name_of_version({'ROS_DISTRO': distribution})}_00000000000000dd"
+    try:
+        with memory.open("wb") as file:
+            os.fchmod(file.fileno(), 0o644)
+        assert memory.stat().st_mode & 0o777 == 0o600
+    finally:
+        memory.unlink()

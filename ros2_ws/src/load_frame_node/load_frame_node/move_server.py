@@ -13,7 +13,7 @@ from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, 
 from fringedic.settings.load_frame import LoadFrameNodeSettings
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
-from fringedic_ros.other_users import OtherUsers
+from fringedic_ros.middleware import OtherUsers
 from load_frame_node.crosshead import FAULT, REPEAT_S, Crosshead, reason_not_to_move
 from load_frame_node.machines import LoadMode, Sample
 

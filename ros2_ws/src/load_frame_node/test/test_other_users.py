@@ -15,9 +15,9 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from fringedic_msgs.action import MoveCrosshead
-from fringedic_ros import other_users
-from fringedic_ros.other_users import participants_of_others
-from fringedic_ros.participant_number import memory_of_port, number_of_port
+from fringedic_ros.middleware import other_users
+from fringedic_ros.middleware.fast_dds import memory_of_port, number_of_port
+from fringedic_ros.middleware.other_users import participants_of_others
 from fringedic_ros.spinning import Spinning
 from fringedic_ros.testing import Peer
 from load_frame_node.load_frame_node import LoadFrameNode

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import Literal, TypedDict
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -21,6 +21,7 @@ from fringedic.settings.recorder import RecorderNodeSettings
 from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
+from fringedic_ros.middleware import Endpoint
 from fringedic_ros.parameters import declare
 from fringedic_ros.polled import OnDemand
 from fringedic_ros.qos import LATCHED, SAMPLES
@@ -31,9 +32,6 @@ from fringedic_ros.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SA
 from recorder_node.exposure_tally import ExposureTally
 from recorder_node.step_tally import StepTally
 from recorder_node.writing_thread import ReceivedMessage, WritingThread
-
-if TYPE_CHECKING:  # the name of this module depends on the distribution
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_PERIOD_S = 0.1
 # Both depths outlast a recorder without processor time: images for four seconds, samples at 1 kHz for ten.
@@ -164,7 +162,7 @@ class RecorderNode(RigNode):
         )
         return True
 
-    def _subscribe(self, name: str, topic: str, publishers: list[TopicEndpointInfo]) -> None:
+    def _subscribe(self, name: str, topic: str, publishers: Sequence[Endpoint]) -> None:
         first = publishers[0]
         assert self._writing is not None
         try:
@@ -319,7 +317,7 @@ def _recorded_qos(profile: QoSProfile) -> Qos:
     )
 
 
-def _compatible_profile(name: str, publishers: list[TopicEndpointInfo]) -> QoSProfile:
+def _compatible_profile(name: str, publishers: Sequence[Endpoint]) -> QoSProfile:
     """Return the strictest QoS that is compatible with every publisher of a topic, with the depth of a recorder."""
     offered = [each.qos_profile for each in publishers]
     reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
@@ -23,11 +22,9 @@ from fringedic.settings.camera import TopicCamera
 from fringedic.wording.numbers import number_text
 from fringedic_ros.arrivals import MOST_BEHIND_S, Arrivals, Problem, stamp_problem
 from fringedic_ros.images import image_array
+from fringedic_ros.middleware import Endpoint
 from fringedic_ros.rig_node import FIXED_QOS
 from fringedic_ros.stamps import to_nanoseconds
-
-if TYPE_CHECKING:  # the name of this module depends on the distribution
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 _TYPE = "sensor_msgs/msg/Image"
 _WAITING = 8  # images that may wait in this process and in the middleware
@@ -78,7 +75,7 @@ class TopicDriver:
         self._arrived = threading.Condition()
         self._streaming = self._interrupted = False
         self._converted = False
-        self._publishers: list[TopicEndpointInfo] = []
+        self._publishers: Sequence[Endpoint] = []
         self._subscription: Subscription | None = None
         self._reliability: ReliabilityPolicy | None = None
         self._look()
@@ -242,5 +239,5 @@ class TopicDriver:
         return luminance(image_array(message)[:, :, _COLOURS[message.encoding]])
 
 
-def _names(publishers: list[TopicEndpointInfo]) -> str:
+def _names(publishers: Sequence[Endpoint]) -> str:
     return ", ".join(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in publishers)

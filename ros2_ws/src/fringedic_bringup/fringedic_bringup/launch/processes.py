@@ -17,9 +17,10 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic.warm_up import require_kernels
-from fringedic_bringup.launch.environment import domain_of, node_environment, remove_stale_segments
+from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
+from fringedic_ros import middleware
 from fringedic_ros.node_server import ForkedProcess, NodeServer, can_fork, die_with_parent
 from fringedic_ros.presence import is_announced
 
@@ -191,7 +192,7 @@ class RunningGraph:
         for name in running:  # not earlier: this may have been interrupted
             del self._processes[name], self._ending_since[name]
         if running:
-            remove_stale_segments()
+            middleware.remove_leftovers()
 
     def _end(self, names: Sequence[str], grace_s: Mapping[signal.Signals, float]) -> None:
         processes = list(dict.fromkeys(self._processes[name] for name in names))

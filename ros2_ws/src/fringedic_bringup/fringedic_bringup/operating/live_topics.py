@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
@@ -13,11 +13,9 @@ from fringedic.errors import RecordingError
 from fringedic.export.foxglove import TopicServer
 from fringedic.recording.definitions import interface_definition
 from fringedic_bringup.participant import Participant
+from fringedic_ros.middleware import Endpoint
 from fringedic_ros.qos import LATCHED_BY_MANY, PREVIEWS
 from fringedic_ros.serialized import message_type
-
-if TYPE_CHECKING:  # the name of this module depends on the distribution
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_PERIOD_S = 1.0
 PERIOD_S = 0.05
@@ -87,7 +85,7 @@ class LiveTopics:
         self.server.send(topic, data, time.time_ns())
 
 
-def _profile(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+def _profile(publishers: Sequence[Endpoint]) -> QoSProfile:
     """Return a QoS that every publisher offers; a viewer that is slow has no effect on a node."""
     durable = all(each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in publishers)
     return LATCHED_BY_MANY if publishers and durable else PREVIEWS

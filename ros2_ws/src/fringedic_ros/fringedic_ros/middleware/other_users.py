@@ -1,7 +1,9 @@
 """Other users of this computer whose commands can arrive: the kernel records the user of every port and memory.
 
 Fast DDS sends to a participant of the same computer through shared memory where both have it, and another user cannot
-open ours: such a participant sees the graph alone. One that has a UDP port and no shared memory reaches every node.
+open ours: such a participant sees the graph alone. One that has a UDP port and no shared memory reaches every node, and
+so does each with a UDP port when our own nodes use another DDS. Zenoh has one router for all users and domains: nothing
+can be seen there, and nothing is refused.
 """
 
 from __future__ import annotations
@@ -14,8 +16,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from rclpy.node import Node
+from rclpy.utilities import get_rmw_implementation_identifier
 
-from fringedic_ros.participant_number import domain_of_port, memory_of_port, number_of_port
+from fringedic_ros.middleware.fast_dds import domain_of_port, memory_of_port, number_of_port
+from fringedic_ros.rmw import DDS, FAST_DDS
 
 TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 LOCKS = Path("/proc/locks")
@@ -25,7 +29,7 @@ _ROOT = 0  # may do everything anyway
 
 
 class OtherUsers:
-    """Looks for participants of other users without shared memory in the ROS domain of a node.
+    """Looks for participants of other users that reach the nodes of the ROS domain of a node.
 
     ROS 2 does not tell a node which participant has sent a command, and a participant can state anything about itself.
     The kernel tells the user of a port, and every participant that follows the standard has one of its domain
@@ -41,6 +45,7 @@ class OtherUsers:
         self._domain = node.context.get_domain_id()
         self._log = node.get_logger()
         self._seen: dict[tuple[int, int], float] = {}  # (user, port): when it was seen last
+        self._can_see = get_rmw_implementation_identifier() in DDS
         node.create_timer(_PERIOD_S, self.look)
 
     @property
@@ -52,7 +57,7 @@ class OtherUsers:
     def look(self) -> None:
         """Look at the ports of this computer."""
         now = time.monotonic()
-        found = participants_of_others(self._domain)
+        found = participants_of_others(self._domain) if self._can_see else set()
         if new := found - self._seen.keys():
             self._log.error(f"moves are refused: {_sentence(self._domain, new)}")
         recent = {each: seen for each, seen in self._seen.items() if now - seen < REMEMBERED_S}
@@ -60,7 +65,7 @@ class OtherUsers:
 
 
 def participants_of_others(domain: int) -> set[tuple[int, int]]:
-    """Return user and UDP port of each participant without shared memory that is neither this user's nor root's."""
+    """Return user and UDP port of each participant that is neither this user's nor root's and reaches our nodes."""
     ports = {each for each in _ports_of_others() if domain_of_port(each[1]) == domain}
     own = {
         each for each in ports if number_of_port(each[1]) >= 0
@@ -80,10 +85,12 @@ def _ports_of_others() -> Iterator[tuple[int, int]]:
 
 
 def _has_memory(user: int, domain: int, port: int) -> bool:
-    """Return whether a participant receives in shared memory: while it runs, it locks a file that belongs to its user.
+    """Return whether a participant receives from us in shared memory: it locks a file of its user while it runs.
 
     Programs that were killed leave such files without a lock.
     """
+    if not _uses_shared_memory():
+        return False
     memory = memory_of_port(domain, number_of_port(port))
     try:
         file = memory.with_name(f"{memory.name}_el").stat()
@@ -93,10 +100,16 @@ def _has_memory(user: int, domain: int, port: int) -> bool:
     return file.st_uid == user and str(file.st_ino) in locked
 
 
+def _uses_shared_memory() -> bool:
+    """Return whether our nodes send through shared memory."""
+    return get_rmw_implementation_identifier() in FAST_DDS
+
+
 def _sentence(domain: int, found: set[tuple[int, int]] | dict[tuple[int, int], float]) -> str:
     user, port = min(found)
+    which = " without shared memory" if _uses_shared_memory() else ""
     return (
-        f"{_name(user)} has a program without shared memory in ROS domain {domain} on this computer (UDP port {port}), "
+        f"{_name(user)} has a program{which} in ROS domain {domain} on this computer (UDP port {port}), "
         "which could have sent the command; end that program and wait half a minute, or choose another "
         "ROS_DOMAIN_ID for the rig"
     )

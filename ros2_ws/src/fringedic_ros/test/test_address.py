@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from fringedic.errors import ProcessError
-from fringedic_bringup.launch.address import interface_addresses, only_address, own_address, routed_address
+from fringedic_ros.middleware.address import interface_addresses, only_address, own_address, routed_address
 
 
 def test_alone_it_is_the_loopback() -> None:
