@@ -3,7 +3,7 @@
 # make test   make check, then tests of the nodes, the running system, the pages and the notebooks
 # make coverage       make check with the lines that the unit tests of the library leave out
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
-# make test-matrix    every ROS 2 distribution with every Python of this computer, in fresh clones; 20 minutes each
+# make test-matrix    every ROS 2 distribution with every Python of this computer, in fresh clones; 10 minutes each
 # make test-hardware  the tests that need system packages: real devices, a browser
 # make docs   the documentation site in docs/_build/html, warnings are errors; the list of installed packages (CycloneDX)
 # make bench  measured figures with their targets

@@ -1,8 +1,9 @@
-"""Every distribution of ROS 2 with every Python of this computer: set-up, tests of nodes, a recording and its replay.
+"""Every distribution of ROS 2 with every Python of this computer: set-up, tests of nodes, each other's recordings.
 
-Writes docs/validation/distributions.md. Each combination is set up in a fresh clone of this checkout's last commit.
-`python benchmarks/distributions.py kilted:3.13 jazzy:3.11` measures these combinations in this order and writes nothing
-else; without names it measures Jazzy and Kilted with each Python that is found.
+Writes docs/validation/distributions.md. Each combination is set up in a fresh clone of this checkout's last commit; a
+computer that does nothing else needs about 10 minutes for each.
+`python benchmarks/distributions.py jazzy:3.11 kilted:3.13` measures these combinations; without names it measures Jazzy
+and Kilted with each Python that is found. The times of the first combination are those that the others are divided by.
 """
 
 from __future__ import annotations
@@ -10,35 +11,40 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import platform
 import re
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation" / "distributions.md"
 DISTRIBUTIONS = ("jazzy", "kilted")
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
-NODES = ("phase_node", "dic_node", "coupling_node", "load_frame_node", "recorder_node", "player_node", "fringedic_ros")
+NODES = ("fringedic_ros", "phase_node", "dic_node", "coupling_node", "recorder_node", "player_node")
 RIG = "tiny"
-STEPS = 20
-HEADER = """# Distributions of ROS 2: measured figures
+STEPS, ROUNDS = 10, 3
+HEADER = f"""# Distributions of ROS 2
 
-This page shows with which distributions of ROS 2, Python and NumPy the system was built and tested, and whether each
-replays a recording of the others. It is written by `python benchmarks/distributions.py` (`make test-matrix`).
-The time of a step is a ratio to the first line; *equal* are the variables of a replay that are the same bit by bit as
-those of the run.
+This page shows with which distributions of ROS 2, Python and NumPy the system was built and tested, and whether they
+replay each other's recordings bit by bit. `make test-matrix` writes the table, with the Pythons of this computer.
 
-| distribution | Python | NumPy | set-up | tests of nodes: passed, failed, skipped | step | equal in a replay of |
-|---|---|---|---:|---|---:|---|"""
-# Executed by the Python of a combination: versions, duration of a step at rest [s], and the results of recordings.
-MEASURE = f"""
-import json, os, statistics, sys, tempfile
+Each line is a fresh clone with a set-up of its own. The tests are those of the packages `{"`, `".join(NODES)}`.
+*Step* is the duration of a measured step at rest of the rig `{RIG}` (median of {STEPS} steps, smallest of
+{ROUNDS} rounds in turn with the other lines) over that of the first line. *Replayed* are the variables of a
+replay that are the same bit by bit as those of the run under the other distribution, and how many there are."""
+TITLES = "| distribution | Python | NumPy | built | set-up | passed | failed | skipped | step | replayed |"
+RULE = "|---|---|---|---|---:|---:|---:|---:|---:|---|"
+# Executed by the Python of a combination: the median duration of a step at rest [s], and its versions.
+STEP = f"""
+import json, os, platform, statistics, tempfile
 from importlib.metadata import version
 from pathlib import Path
 from fringedic_bringup.client import RigClient
@@ -54,138 +60,190 @@ with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
     with RunningGraph(graph, Path(folder) / "logs"), RigClient() as rig:
         rig.wait_until_ready(graph.names, 300.0)
         times = [rig.measure().duration for _ in range({STEPS} + 1)][1:]
-print(json.dumps({{"python": sys.version.split()[0], "numpy": version("numpy"), "step_s": statistics.median(times)}}))
+found = {{"python": platform.python_version(), "numpy": version("numpy"), "step_s": statistics.median(times)}}
+print(json.dumps(found))
 """
+# Of two runs: the number of variables, and the names of those that are not the same. Attributes describe the recording.
 COMPARE = """
-import sys
+import json, sys
 import fringedic
-first, second = (fringedic.open_experiment(path).load() for path in sys.argv[1:3])
-names = set(first.data_vars) | set(second.data_vars)
-different = [name for name in sorted(names) if not first.get(name, fringedic).equals(second.get(name))]
-print(len(names) - len(different), len(names), *different)
+from fringedic.audit.comparison import compare_bits
+first, second = (fringedic.open_experiment(path) for path in sys.argv[1:])
+different = {each.name for each in compare_bits(first.drop_attrs(deep=False), second.drop_attrs(deep=False))}
+print(json.dumps([len(first.variables.keys() | second.variables.keys()), sorted(different)]))
 """
+
+
+class CommandError(Exception):
+    """A command of a combination failed; the message is the end of its output."""
 
 
 @dataclass
 class Combination:
-    """A distribution of ROS 2 with a Python, set up in a folder of its own."""
+    """A distribution of ROS 2 with a Python, in a folder of its own, and what was found."""
 
     distribution: str
+    python: str
     interpreter: str
     folder: Path
+    setup_s: float = 0.0
+    numpy: str = ""
+    steps_s: list[float] = field(default_factory=list)
+    tests: dict[str, int] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+    replayed: list[str] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """The distribution and the Python."""
+        return f"{self.distribution.capitalize()} with Python {self.python}"
 
     @property
     def checkout(self) -> Path:
         """The fresh clone."""
         return self.folder / "fringedic"
 
-    def set_up(self) -> float:
-        """Clone and build; return the duration [s]."""
+    def set_up(self, commit: str) -> None:
+        """Clone, build, and record an experiment."""
+        self.folder.mkdir(parents=True)
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(self.checkout)], check=True)
+        subprocess.run(["git", "checkout", "--quiet", commit], cwd=self.checkout, check=True)
         begun = time.monotonic()
-        subprocess.run(
-            ["make", "setup"], cwd=self.checkout, env=self._environment(), check=True, stdout=subprocess.DEVNULL
-        )
-        return time.monotonic() - begun
+        self._run("make", "setup")
+        self.setup_s = time.monotonic() - begun
+        self.run("fringedic", "run", RIG, "--output", str(self.folder / "run"))
+
+    def test(self) -> None:
+        """Run the tests of the nodes."""
+        packages = [f"ros2_ws/src/{name}/test" for name in NODES]
+        pytest = ("env", "--default-signal=INT,HUP", "python", "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile")
+        output = self.run(*pytest, *packages, check=False)
+        counts = re.findall(r"(\d+) (passed|failed|skipped|error)", output.splitlines()[-1])
+        self.tests = {outcome: int(number) for number, outcome in counts}
+        self.remarks += re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+
+    def measure_steps(self) -> None:
+        """Measure the duration of a step once more."""
+        found = json.loads(self.run("python", "-c", STEP).splitlines()[-1])
+        self.python, self.numpy = found["python"], found["numpy"]
+        self.steps_s.append(found["step_s"])
+
+    def replay(self, other: Combination) -> None:
+        """Replay the recording of another combination, and compare the results with those of its run."""
+        output = self.folder / f"replayed-{other.distribution}"
+        self.run("fringedic", "replay", str(other.folder / "run" / "bag"), "--output", str(output))
+        found = self.run("python", "-c", COMPARE, str(other.folder / "run"), str(output))
+        total, different = json.loads(found.splitlines()[-1])
+        self.replayed.append(f"{other.name}: {total - len(different)} of {total}")
+        self.remarks += [f"`{name}` differs in the replay of {other.name}" for name in different]
+
+    def attempt(self, action: Callable[[], None]) -> bool:
+        """Return whether an action succeeded; what failed becomes a remark."""
+        try:
+            action()
+        except CommandError as error:
+            self.remarks.append(str(error))
+            return False
+        return True
 
     def run(self, *command: str, check: bool = True) -> str:
         """Run a command in the environment of this combination and return what it prints."""
+        return self._run("bash", "-c", '. setup/environment.sh && exec "$@"', "-", *command, check=check)
+
+    def _run(self, *command: str, check: bool = True) -> str:
         done = subprocess.run(
-            ["bash", "-c", '. setup/environment.sh && exec "$@"', "-", *command],
+            command,
             cwd=self.checkout,
             env=self._environment(),
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             text=True,
             check=False,
         )
         if check and done.returncode:
-            sys.exit(f"{self.distribution}, {self.interpreter}: {' '.join(command)[:80]}\n{done.stdout}{done.stderr}")
+            raise CommandError(f"`{' '.join(command[-4:])[:80]}` failed: " + " ".join(done.stdout.split())[-300:])
         return done.stdout
 
     def _environment(self) -> dict[str, str]:
-        own = ("AMENT", "CMAKE_PREFIX", "LD_", "ROS_", "PYTHONPATH", "VIRTUAL_ENV", "_ROS")
+        """Return the environment without what this checkout and another `make` have added."""
+        own = ("AMENT", "CMAKE_PREFIX", "LD_", "MAKE", "ROS_", "PYTHONPATH", "VIRTUAL_ENV", "_ROS")
         environment = {name: value for name, value in os.environ.items() if not name.startswith(own)}
         paths = [path for path in os.environ["PATH"].split(":") if not path.startswith(str(ROOT))]
-        return environment | {"PATH": ":".join(paths), "ROS": self.distribution, "PYTHON": self.interpreter}
+        tests = {"OPENBLAS_NUM_THREADS": "1", "ROS_PYTHON_CHECK_FIELDS": "1"}  # as of setup/check.sh
+        return environment | tests | {"PATH": ":".join(paths), "ROS": self.distribution, "PYTHON": self.interpreter}
 
 
 def interpreters() -> dict[str, str]:
     """Return the Pythons of this computer by their versions."""
     found = {}
     for version in PYTHONS:
-        candidates = [shutil.which(f"python{version}"), *Path.home().glob(f".pyenv/versions/{version}.*/bin/python3")]
-        for candidate in candidates:
+        own = [str(path) for path in Path.home().glob(f".pyenv/versions/{version}.*/bin/python3")]
+        for candidate in (shutil.which(f"python{version}"), *own):
             if candidate and not subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode:
-                found[version] = os.path.realpath(candidate)
+                found[version] = candidate
     return found
 
 
-def measure(combination: Combination) -> dict[str, Any]:
-    """Set up a combination, record and process an experiment, run the tests of the nodes."""
-    figures: dict[str, Any] = {"distribution": combination.distribution, "setup_s": combination.set_up()}
-    figures |= json.loads(combination.run("python", "-c", MEASURE).splitlines()[-1])
-    combination.run("fringedic", "run", RIG, "--output", str(combination.folder / "run"))
-    packages = [f"ros2_ws/src/{name}/test" for name in NODES]
-    tests = combination.run("python", "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", *packages, check=False)
-    counts = re.findall(r"(\d+) (passed|failed|skipped|error)", tests.splitlines()[-1])
-    figures["tests"] = {outcome: int(number) for number, outcome in counts}
-    figures["failed"] = re.findall(r"^FAILED (\S+)", tests, re.MULTILINE)
-    return figures
+def measure(combinations: list[Combination]) -> None:
+    """Set up and test the combinations one after the other, then measure those that were built beside each other."""
+    commit = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=ROOT, text=True).strip()
+    for each in combinations:
+        if each.attempt(partial(each.set_up, commit)):
+            each.attempt(each.test)
+            each.attempt(each.measure_steps)
+        print(each.name, f"{each.setup_s:.0f} s", each.tests, each.remarks, flush=True)
+    working = [each for each in combinations if each.steps_s]
+    for each in working:
+        for other in [other for other in working if other.distribution != each.distribution][:1]:
+            each.attempt(partial(each.replay, other))
+            print(each.name, each.replayed, each.remarks, flush=True)
+    for _ in range(1, ROUNDS):
+        for each in working:
+            each.attempt(each.measure_steps)
 
 
-def replay(there: Combination, here: Combination) -> str:
-    """Replay the recording of one combination with the nodes of another; return how many variables are equal."""
-    output = here.folder / f"replayed-{there.distribution}"
-    here.run("fringedic", "replay", str(there.folder / "run" / "bag"), "--output", str(output))
-    equal, total, *different = here.run("python", "-c", COMPARE, str(there.folder / "run"), str(output)).split()
-    return f"{equal} of {total}" + (f" ({', '.join(different)} differ)" if different else "")
-
-
-def page(rows: list[dict[str, Any]]) -> str:
+def page(combinations: list[Combination]) -> str:
     """Return the page."""
-    lines = [HEADER]
-    for row in rows:
+    lines, first = [HEADER, "", TITLES, RULE], combinations[0]
+    for each in combinations:
         cells = (
-            row["distribution"].capitalize(),
-            row["python"],
-            row["numpy"],
-            f"{row['setup_s']:.0f} s",
-            ", ".join(str(row["tests"].get(outcome, 0)) for outcome in ("passed", "failed", "skipped")),
-            f"{row['step_s'] / rows[0]['step_s']:.2f}",
-            "; ".join(row["replayed"]) or "-",
+            each.distribution.capitalize(),
+            each.python,
+            each.numpy or "-",
+            "yes" if each.setup_s else "no",
+            f"{each.setup_s:.0f} s" if each.setup_s else "-",
+            *(str(each.tests.get(outcome, 0)) if each.tests else "-" for outcome in ("passed", "failed", "skipped")),
+            f"{min(each.steps_s) / min(first.steps_s):.2f}" if each.steps_s and first.steps_s else "-",
+            "; ".join(each.replayed) or "-",
         )
         lines.append(f"| {' | '.join(cells)} |")
-    failed = [f"- {row['distribution']} {row['python']}: `{name}`" for row in rows for name in row["failed"]]
-    return "\n".join(lines + (["", "Failed:", "", *failed] if failed else [])) + "\n"
+    remarks = [f"- {each.name}: {remark}" for each in combinations for remark in each.remarks]
+    load = statistics.fmean(os.getloadavg())
+    system = platform.freedesktop_os_release()["PRETTY_NAME"]
+    lines += ["", f"{os.cpu_count()} cores, {system}, load average {load:.0f} at the end."]
+    return "\n".join(lines + (["", "Not as expected:", "", *remarks] if remarks else [])) + "\n"
 
 
 def main() -> None:
-    """Measure the combinations one after the other."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Measure the combinations and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("combinations", nargs="*", metavar="DISTRIBUTION:PYTHON")
-    parser.add_argument("--folder", type=Path, help="where the clones stay, instead of a temporary folder")
+    parser.add_argument("--output", type=Path, default=PAGE, help="the page that is written")
     options = parser.parse_args()
     found = interpreters()
     names = options.combinations or [f"{each}:{version}" for each in DISTRIBUTIONS for version in found]
-    with tempfile.TemporaryDirectory(prefix="fringedic-matrix-") as temporary:
-        folder = options.folder or Path(temporary)
-        done: list[tuple[Combination, dict[str, Any]]] = []
+    with tempfile.TemporaryDirectory(prefix="fringedic-matrix-") as folder:
+        combinations = []
         for name in names:
-            distribution, version = name.split(":")
-            combination = Combination(distribution, found[version], folder / f"{distribution}-{version}")
-            combination.folder.mkdir(parents=True)
-            figures = measure(combination)
-            figures["replayed"] = [
-                f"{other.distribution} {other_figures['python']}: {replay(other, combination)}"
-                for other, other_figures in done
-                if other.distribution != distribution
-            ]
-            print(json.dumps(figures), flush=True)
-            done.append((combination, figures))
-    text = page([figures for _, figures in done])
+            distribution, _, version = name.partition(":")
+            if distribution not in DISTRIBUTIONS or version not in found:
+                sys.exit(f"{name}: name {' or '.join(DISTRIBUTIONS)} with a Python of these: {', '.join(found)}")
+            place = Path(folder) / name.replace(":", "-")
+            combinations.append(Combination(distribution, version, found[version], place))
+        measure(combinations)
+        text = page(combinations)
     print(text)
-    if not options.combinations:
-        PAGE.write_text(text)
+    options.output.write_text(text)
 
 
 if __name__ == "__main__":
