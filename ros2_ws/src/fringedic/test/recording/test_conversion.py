@@ -4,8 +4,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 import zstandard
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from fringedic.errors import RecordingError
 from fringedic.recording import BagReader, recover, verify
@@ -43,6 +44,38 @@ def compressed(target):
     return target
 
 
+def split(target, mode, chunks=CompressionType.ZSTD, parts=12):
+    """Write the recording in files that are named as by rosbag2 of Lyrical: 0_plate_2026_05_31-10_00_00.mcap, ..."""
+    target.mkdir()
+    reader = BagReader(RECORDED)
+    stored = list(reader.stored())
+    names, packer = [], zstandard.ZstdCompressor()
+    for part in range(parts):
+        file = target / f"{part}_plate_2026_05_31-10_00_{part:02d}.mcap"
+        with file.open("wb") as stream:
+            writer = Writer(stream, chunk_size=20_000, compression=chunks)
+            writer.start("ros2")
+            channels = {}
+            for topic in reader.topics.values():
+                schema = writer.register_schema(topic.type_name, topic.encoding, topic.definition.encode())
+                channels[topic.name] = writer.register_channel(topic.name, "cdr", schema)
+            begin, end = (each * len(stored) // parts for each in (part, part + 1))
+            for topic, data, log_time, publish_time, number in stored[begin:end]:
+                packed = packer.compress(data) if mode == "MESSAGE" else data
+                writer.add_message(channels[topic], log_time, packed, publish_time, number)
+            writer.finish()
+        if mode == "FILE":
+            packed = file.with_name(f"{file.name}.zstd")
+            packed.write_bytes(packer.compress(file.read_bytes()))
+            file.unlink()
+            file = packed
+        names.append(file.name)
+    about = {"version": 9, "storage_identifier": "mcap", "relative_file_paths": names, "message_count": len(stored)}
+    about |= {"compression_mode": mode, "compression_format": "zstd" if mode else "", "topics_with_message_count": []}
+    (target / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}))
+    return target
+
+
 def content(bag):
     reader = BagReader(bag)
     return {topic: [(raw.data, raw.log_time) for raw in reader.raw([topic])] for topic in reader.topics}
@@ -68,6 +101,28 @@ def test_other_storage_of_rosbag2_is_read(tmp_path, options):
     assert reader.chunks_without_checksum or not reader.is_converted
     assert recover(bag, tmp_path / "recovered").messages == info(RECORDED).messages
     assert [each.name for each in tmp_path.iterdir()] == ["other", "recovered"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "chunks"),
+    [
+        ("", CompressionType.ZSTD),
+        ("", CompressionType.LZ4),
+        ("FILE", CompressionType.NONE),
+        ("MESSAGE", CompressionType.ZSTD),
+    ],
+)
+def test_many_files_with_the_names_of_lyrical_are_one_recording(tmp_path, mode, chunks):
+    """Their numbers stand in front and have no zeros: the tenth file comes before the second in the alphabet."""
+    bag = split(tmp_path / "plate", mode, chunks)
+    reader = BagReader(bag)
+    assert content(bag) == content(RECORDED)
+    assert (reader.damage, reader.missing, reader.unlisted) == ("", {}, ())
+    assert (info(bag).counts, info(bag).damage) == (BagReader(RECORDED).counts, "")
+    assert (verify(bag).frames, verify(bag).lost_frames, verify(bag).damage) == (36, 0, "")
+    (bag / "metadata.yaml").unlink()
+    if mode != "MESSAGE":  # only metadata.yaml states that each message is compressed
+        assert content(bag) == content(RECORDED)
 
 
 @pytest.mark.parametrize("write", [without_chunks, compressed])
