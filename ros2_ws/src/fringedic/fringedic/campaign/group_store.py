@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
 
@@ -14,13 +13,12 @@ from fringedic.campaign.store import RECORDINGS, CampaignStore, digest_of
 from fringedic.datasets.checked_store import ChecksummedStore
 from fringedic.datasets.checksums import CONTENT
 from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
-from fringedic.datasets.stores import Variable, free_bytes
+from fringedic.datasets.stores import Variable, consolidate, create_array, free_bytes
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("campaign"):
     import zarr
     from zarr.abc.store import Store as ZarrStore
-    from zarr.codecs import Crc32cCodec, ZstdCodec
     from zarr.storage import WrapperStore
 
 _METADATA = "zarr.json"
@@ -82,24 +80,12 @@ class GroupStore:
 
     def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
         """Make a variable; `sizes` is that of each dimension now (step may grow)."""
-        name, dimensions, dtype, attributes = variable
+        name, dimensions, *_ = variable
         shape = tuple(sizes[dimension] for dimension in dimensions)
         chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else (_STEPS_PER_CHUNK,)
         if dimensions[0] != "step":
             chunks = shape
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # texts of variable length are not in the specification yet
-            self._arrays[name] = self._group.create_array(
-                name,
-                shape=shape,
-                dtype=str if dtype == TEXT else dtype,
-                chunks=chunks,
-                fill_value=np.nan if dtype in ("f4", "f8") else None,
-                compressors=[ZstdCodec(level=0), Crc32cCodec()],
-                config={"write_empty_chunks": True},  # a removed chunk is no empty one
-                dimension_names=dimensions,
-                attributes=dict(attributes),
-            )
+        self._arrays[name] = create_array(self._group, variable, shape, chunks)
         if dimensions[0] == "step":
             self._growing.append(name)
         if dimensions == ("step",):
@@ -129,9 +115,7 @@ class GroupStore:
             self._resize(name)
             self._arrays[name][:] = np.array(values, dtype=object if isinstance(values[0], str) else None)
         self._group.attrs.update(dict(attributes))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # consolidated metadata are not in the specification yet
-            zarr.consolidate_metadata(self._target)
+        consolidate(self._target)
         self._store.remove_others(self._folder, self._target.checksums)
         self._store.put({f"{self._folder}/{name}": data for name, data in self._target.metadata.items()})
 

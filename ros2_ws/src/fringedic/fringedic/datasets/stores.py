@@ -10,8 +10,8 @@ import io
 import os
 import shutil
 import warnings
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -178,7 +178,7 @@ def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mappin
 
 
 def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[str, Any]] | None = None) -> None:
-    """Write a dataset as Zarr of format 2, the version with the most readers.
+    """Write a dataset as Zarr of format 3; each chunk has a checksum (crc32c).
 
     Parameters
     ----------
@@ -194,11 +194,18 @@ def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[
     """
     with optional_import("zarr"):
         import zarr
-    summed = SummedDataset(_of_a_file(dataset), encoding or {})
-    summed.content.to_zarr(target, mode="w", zarr_format=2, write_empty_chunks=True)
-    group = zarr.open_group(target, mode="r+", zarr_format=2)
-    group.attrs[CONTENT] = summed.text
-    _consolidate(group)
+    plain = _of_a_file(dataset)
+    # texts of variable length are registered with Zarr; those of NumPy's fixed length are not
+    texts = {name: each.astype(object) for name, each in plain.variables.items() if each.dtype.kind == "U"}
+    summed = SummedDataset(plain.assign(texts), encoding or {})
+    checked = {name: {**each.encoding, "compressors": _codecs()} for name, each in summed.content.variables.items()}
+    with _text_and_consolidation():
+        summed.content.to_zarr(
+            target, mode="w", zarr_format=3, consolidated=False, encoding=checked, write_empty_chunks=True
+        )
+        group = zarr.open_group(target, mode="r+", zarr_format=3)
+        group.attrs[CONTENT] = summed.text
+    consolidate(group.store)
 
 
 def _of_a_file(dataset: xr.Dataset) -> xr.Dataset:
@@ -207,12 +214,56 @@ def _of_a_file(dataset: xr.Dataset) -> xr.Dataset:
     return dataset.drop_attrs(deep=False).assign_attrs(kept)
 
 
-def _consolidate(group: Any) -> None:
+@contextmanager
+def _text_and_consolidation() -> Iterator[None]:
+    """Ignore warnings that Zarr 3 does not specify texts of variable length and consolidated metadata yet.
+
+    Readers that ignore consolidated metadata need none; texts are an extension that is registered with Zarr.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def consolidate(store: Any) -> None:
+    """Copy the metadata of all arrays of a Zarr group to the group, so that one file opens it."""
     import zarr
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about readers that do not know consolidated metadata: they need none
-        zarr.consolidate_metadata(group.store)
+    with _text_and_consolidation():
+        zarr.consolidate_metadata(store)
+
+
+def _codecs() -> list[Any]:
+    """Return how the chunks of Zarr arrays are packed: with a checksum around the compressed bytes."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(level=0), Crc32cCodec()]
+
+
+def create_array(group: Any, variable: Variable, shape: tuple[int, ...], chunks: tuple[int, ...]) -> Any:
+    """Make the array of a variable in a Zarr group of format 3, and return it.
+
+    Parameters
+    ----------
+    group
+        Of Zarr, opened for writing.
+    variable
+        Name, dimensions, type and attributes.
+    shape, chunks
+        Sizes of the array and of its chunks.
+    """
+    with _text_and_consolidation():
+        return group.create_array(
+            variable.name,
+            shape=shape,
+            dtype=str if variable.dtype == TEXT else variable.dtype,
+            chunks=chunks,
+            fill_value=np.nan if variable.dtype in ("f4", "f8") else None,
+            compressors=_codecs(),
+            config={"write_empty_chunks": True},  # a removed chunk is no empty one
+            dimension_names=variable.dimensions,
+            attributes=dict(variable.attributes),
+        )
 
 
 def _temporary(target: Path) -> Path:
@@ -340,13 +391,13 @@ def _end_growth(content: h5py.File, dimension: str) -> None:
 
 
 class ZarrStore:
-    """A Zarr folder of format 2, the version with the most readers."""
+    """A Zarr folder of format 3."""
 
     def __init__(self, target: Path) -> None:
         with optional_import("zarr"):
             import zarr
         self._target = target
-        self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=2)
+        self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=3)
         self._growing: list[Any] = []
 
     @property
@@ -360,21 +411,11 @@ class ZarrStore:
 
     def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
         """Make a variable; `sizes` is that of each dimension now (step may grow)."""
-        _, dimensions, dtype, attributes = variable
-        shape = tuple(sizes[dimension] for dimension in dimensions)
+        shape = tuple(sizes[dimension] for dimension in variable.dimensions)
         # one map per chunk; values per step share a chunk
-        chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
-        fill = np.nan if dtype in ("f4", "f8") else None  # readers take values that equal it as missing
-        array = self._group.create_array(
-            variable.name,
-            shape=shape,
-            dtype=str if dtype == TEXT else dtype,
-            chunks=chunks,
-            fill_value=fill,
-            config={"write_empty_chunks": True},
-        )
-        array.attrs.update({"_ARRAY_DIMENSIONS": list(dimensions), **attributes})
-        if dimensions[0] == "step":
+        chunks = (1, *shape[1:]) if variable.dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
+        array = create_array(self._group, variable, shape, chunks)
+        if variable.dimensions[0] == "step":
             self._growing.append(array)
 
     def grow(self, steps: int) -> None:
@@ -393,7 +434,7 @@ class ZarrStore:
     def finish(self, attributes: Mapping[str, str]) -> None:
         """Write the attributes, close, and give the dataset its name."""
         self._group.attrs.update(dict(attributes))
-        _consolidate(self._group)
+        consolidate(self._group.store)
         old = self._target.with_name(f".{self._target.name}.old")
         if self._target.exists():
             self._target.replace(old)
