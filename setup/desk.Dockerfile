@@ -1,7 +1,9 @@
 # A desk: the commands that need no ROS (measure, process, report, export, view, ...) and the library.
 #   docker build --file setup/desk.Dockerfile --tag fringedic-desk .
 #   docker run --rm --volume "$PWD:/data" fringedic-desk report my_test/bag
-FROM python:3.12-slim-bookworm
+# It needs no ROS and reads the recordings of every distribution; --build-arg PYTHON=3.14 selects another Python.
+ARG PYTHON=3.12
+FROM python:${PYTHON}-slim-bookworm
 
 # hadolint ignore=DL3008
 RUN apt-get update \
