@@ -29,6 +29,8 @@ PAGE = ROOT / "docs" / "validation" / "distributions.md"
 DISTRIBUTIONS = ("jazzy", "kilted")
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 NODES = ("fringedic_ros", "phase_node", "dic_node", "coupling_node", "recorder_node", "player_node")
+RECORDED = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+UNREACHABLE = "the Python package index cannot be reached"
 RIG = "tiny"
 STEPS, ROUNDS = 10, 3
 HEADER = f"""# Distributions of ROS 2
@@ -40,6 +42,10 @@ Each line is a fresh clone with a set-up of its own. The tests are those of the 
 *Step* is the duration of a measured step at rest of the rig `{RIG}` (median of {STEPS} steps, smallest of
 {ROUNDS} rounds in turn with the other lines) over that of the first line. *Replayed* are the variables of a
 replay that are the same bit by bit as those of the run under the other distribution, and how many there are."""
+FOOTER = """
+Lyrical is on no package index, so that it is not in the table. What stands for it: the unit tests of the library run
+with NumPy 2.4 (Lyrical has 2.3), and type hashes and serialised bytes of all messages are compared with those of the
+library `rosbags` for Jazzy, Kilted and Lyrical (`ros2_ws/src/fringedic_ros/test/test_message_formats.py`)."""
 TITLES = "| distribution | Python | NumPy | built | set-up | passed | failed | skipped | step | replayed |"
 RULE = "|---|---|---|---|---:|---:|---:|---:|---:|---|"
 # Executed by the Python of a combination: the median duration of a step at rest [s], and its versions.
@@ -86,6 +92,7 @@ class Combination:
     python: str
     interpreter: str
     folder: Path
+    has_kernels: bool = False
     setup_s: float = 0.0
     numpy: str = ""
     steps_s: list[float] = field(default_factory=list)
@@ -108,10 +115,14 @@ class Combination:
         self.folder.mkdir(parents=True)
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(self.checkout)], check=True)
         subprocess.run(["git", "checkout", "--quiet", commit], cwd=self.checkout, check=True)
+        self.build()
+        self.run("fringedic", "run", RIG, "--output", str(self.folder / "run"))
+
+    def build(self) -> None:
+        """Call set-up and measure its duration."""
         begun = time.monotonic()
         self._run("make", "setup")
         self.setup_s = time.monotonic() - begun
-        self.run("fringedic", "run", RIG, "--output", str(self.folder / "run"))
 
     def test(self) -> None:
         """Run the tests of the nodes."""
@@ -132,10 +143,14 @@ class Combination:
         """Replay the recording of another combination, and compare the results with those of its run."""
         output = self.folder / f"replayed-{other.distribution}"
         self.run("fringedic", "replay", str(other.folder / "run" / "bag"), "--output", str(output))
-        found = self.run("python", "-c", COMPARE, str(other.folder / "run"), str(output))
-        total, different = json.loads(found.splitlines()[-1])
+        total, different = self.compare(other.folder / "run", output)
         self.replayed.append(f"{other.name}: {total - len(different)} of {total}")
         self.remarks += [f"`{name}` differs in the replay of {other.name}" for name in different]
+
+    def compare(self, one: Path, other: Path) -> tuple[int, list[str]]:
+        """Return how many variables two runs have, and which of them are not the same bit by bit."""
+        total, different = json.loads(self.run("python", "-c", COMPARE, str(one), str(other)).splitlines()[-1])
+        return total, different
 
     def attempt(self, action: Callable[[], None]) -> bool:
         """Return whether an action succeeded; what failed becomes a remark."""
@@ -161,7 +176,7 @@ class Combination:
             check=False,
         )
         if check and done.returncode:
-            raise CommandError(f"`{' '.join(command[-4:])[:80]}` failed: " + " ".join(done.stdout.split())[-300:])
+            raise CommandError(f"`{' '.join(command[-4:])[:80]}` failed: " + " ".join(done.stdout.split())[-600:])
         return done.stdout
 
     def _environment(self) -> dict[str, str]:
@@ -170,6 +185,7 @@ class Combination:
         environment = {name: value for name, value in os.environ.items() if not name.startswith(own)}
         paths = [path for path in os.environ["PATH"].split(":") if not path.startswith(str(ROOT))]
         tests = {"OPENBLAS_NUM_THREADS": "1", "ROS_PYTHON_CHECK_FIELDS": "1"}  # as of setup/check.sh
+        tests |= {"KERNELS": "no"} if self.has_kernels else {}
         return environment | tests | {"PATH": ":".join(paths), "ROS": self.distribution, "PYTHON": self.interpreter}
 
 
@@ -202,6 +218,57 @@ def measure(combinations: list[Combination]) -> None:
             each.attempt(each.measure_steps)
 
 
+def smoke() -> str:
+    """Set up the other distribution than that of this checkout, and replay a recording with the nodes of both.
+
+    The Python is that of this checkout, so that its compiled kernels are valid.
+
+    Returns
+    -------
+    str
+        What was done, or why the test is left out.
+
+    Raises
+    ------
+    CommandError
+        A command failed, or the results are not the same bit by bit.
+    """
+    here = (ROOT / ".venv" / "stamps" / "distribution").read_text()
+    other = next(each for each in DISTRIBUTIONS if each != here)
+    python = os.path.realpath(sys.executable)
+    with tempfile.TemporaryDirectory(prefix="fringedic-smoke-") as folder:
+        version = platform.python_version()
+        both = [Combination(each, version, python, Path(folder) / each, has_kernels=True) for each in (here, other)]
+        for each in both:
+            each.folder.mkdir()
+        both[0].checkout.symlink_to(ROOT)
+        copy_sources(both[1].checkout)
+        try:
+            both[1].build()
+        except CommandError as error:
+            if UNREACHABLE in str(error):
+                return f"{both[1].name} is left out: {UNREACHABLE}"
+            raise
+        both[1].measure_steps()
+        replayed = [each.folder / "replayed" for each in both]
+        for each, output in zip(both, replayed, strict=True):
+            each.run("fringedic", "replay", str(RECORDED), "--output", str(output))
+        total, different = both[0].compare(*replayed)
+        if different:
+            raise CommandError(f"{both[1].name} replays other values than {both[0].name}: {', '.join(different)}")
+        return f"{both[1].name}: set-up {both[1].setup_s:.0f} s, {total} variables of a replay as with {both[0].name}"
+
+
+def copy_sources(target: Path) -> None:
+    """Copy the files of this checkout with their times, and with the compiled kernels that fit them."""
+    names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
+    kernels = [str(path.relative_to(ROOT)) for path in (ROOT / "ros2_ws" / "src").rglob("*.nb[ic]")]
+    for name in (*names, *kernels):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
 def page(combinations: list[Combination]) -> str:
     """Return the page."""
     lines, first = [HEADER, "", TITLES, RULE], combinations[0]
@@ -221,15 +288,23 @@ def page(combinations: list[Combination]) -> str:
     load = statistics.fmean(os.getloadavg())
     system = platform.freedesktop_os_release()["PRETTY_NAME"]
     lines += ["", f"{os.cpu_count()} cores, {system}, load average {load:.0f} at the end."]
-    return "\n".join(lines + (["", "Not as expected:", "", *remarks] if remarks else [])) + "\n"
+    lines += ["", "Not as expected:", "", *remarks] if remarks else []
+    return "\n".join([*lines, FOOTER]) + "\n"
 
 
 def main() -> None:
     """Measure the combinations and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("combinations", nargs="*", metavar="DISTRIBUTION:PYTHON")
+    parser.add_argument("--smoke", action="store_true", help="a short test of the distribution that is not installed")
     parser.add_argument("--output", type=Path, default=PAGE, help="the page that is written")
     options = parser.parse_args()
+    if options.smoke:
+        try:
+            print("smoke test:", smoke())
+        except CommandError as error:
+            sys.exit(f"smoke test: {error}")
+        return
     found = interpreters()
     names = options.combinations or [f"{each}:{version}" for each in DISTRIBUTIONS for version in found]
     with tempfile.TemporaryDirectory(prefix="fringedic-matrix-") as folder:
