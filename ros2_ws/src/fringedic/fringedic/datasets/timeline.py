@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fringedic.datasets.rows import Row
 from fringedic.errors import DatasetError
-from fringedic.frames.records import FrameRecord, stamp_of
+from fringedic.frames.records import FrameRecord, stamp_of, time_of
 from fringedic.metadata import FIRST_STEP, SpecimenMetadata
-from fringedic.patterns.pattern import PatternKind
+from fringedic.patterns.pattern import PatternKind, moving_frames
 from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.reader import BagReader
@@ -105,6 +106,7 @@ class Timeline:
         self.sensor = exposed[0].sensor
         references, stages = self._references_and_stages(reader, names)
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
+        self._moving = _moving_times(exposed)
         recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))
         observed = recorded[FORCE.name].stamps.size > 0
         self.attachments = attachment_digests(reader.path)
@@ -189,8 +191,9 @@ class Timeline:
         return replace(signal, values=self._sign * (signal.values - self._tare))
 
     def _value_at(self, step: int, name: str) -> SignalValue:
-        """Return the value of a signal over the exposures of a step."""
-        value = self._recorded[name].value_over(*self._exposed[step])
+        """Return the value of a signal over the exposures of a step, or at the time of a stack in motion."""
+        signal, moving = self._recorded[name], self._moving.get(step)
+        value = signal.value_over(*self._exposed[step]) if moving is None else signal.value_at(*moving)
         return value._replace(mean=self._sign * (value.mean - self._tare)) if name == FORCE.name else value
 
     @property
@@ -225,6 +228,30 @@ class Timeline:
         row.signals = {name: self._value_at(row.step, name) for name in self._recorded}
         if row.stamp is None:
             row.stamp = int(self._exposed[row.step][1])
+        if row.step in self._moving:
+            row.stamp = self._moving[row.step].time
+
+
+class _Moving(NamedTuple):
+    """Time of a stack in motion, and the begin and end of the exposures of its finest pitch [ns]."""
+
+    time: int
+    begin: float
+    end: float
+
+
+def _moving_times(exposed: Iterable[FrameRecord]) -> dict[int, _Moving]:
+    """Return the times of the steps that were taken in motion."""
+    records_of = defaultdict[int, list[FrameRecord]](list)
+    for record in exposed:
+        records_of[record.step].append(record)
+    times = {}
+    for step, records_of_step in records_of.items():
+        if finest := [records_of_step[k] for k in moving_frames([each.pattern for each in records_of_step])]:
+            first, last = finest[0], finest[-1]
+            begin, end = first.stamp - 0.5e9 * first.exposure_time, last.stamp + 0.5e9 * last.exposure_time
+            times[step] = _Moving(time_of(records_of_step), begin, end)
+    return times
 
 
 def _interrupted(stages: Iterable[Any]) -> dict[int, str]:

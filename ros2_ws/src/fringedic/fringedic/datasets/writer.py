@@ -61,7 +61,9 @@ class DatasetWriter:
         self._store = ChecksummedStore(create_store(self._target) if isinstance(self._target, Path) else self._target)
         self._variable("step", ("step",), "i8", "1", "load step")
         if self._layout.timed:
-            self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
+            self._variable(
+                "time", ("step",), "i8", "nanoseconds since 1970-01-01", "last exposure, or middle of a moving stack"
+            )
         for name, meaning in STEP_NUMBERS.items():
             self._variable(name, ("step",), "i8", "1", meaning)
         for name, meaning in self._layout.texts.items():
@@ -84,7 +86,7 @@ class DatasetWriter:
             channel, name = signal.channel, self._free_name(signal.channel.name)
             self._signals[channel.name] = name
             about = {"quantity": channel.quantity, "positive": channel.positive, "source": channel.source}
-            during = f"mean {channel.name} over the exposures"
+            during = f"{channel.name} during the exposures"
             self._variable(name, ("step",), "f8", channel.unit, during, more=about)
             self._variable(sigma_name(name), ("step",), "f8", channel.unit, f"standard uncertainty of {name}")
             if signal.stamps.size:

@@ -13,9 +13,9 @@ import numpy as np
 
 from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.exposure_groups import exposure_groups
-from fringedic.frames.records import FrameRecord, StepKey
+from fringedic.frames.records import FrameRecord, StepKey, time_of
 from fringedic.frames.sensor import SENSOR
-from fringedic.patterns.pattern import PHASE_KINDS, Orientation, PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import PHASE_KINDS, Orientation, PatternKind, ProjectedPattern, moving_frames
 
 MOST_FRAMES = 1000  # of a step, which are in memory together; far more than a sequence has
 
@@ -33,7 +33,7 @@ class Stack:
     frames
         Grey levels, shape (count, row, column), type of the camera's pixels.
     stamp
-        Stamp of the last exposure [ns]: the stamp of everything computed from this step.
+        Stamp of the last exposure [ns]: the stamp of every message computed from this step.
     sensor
         Name of the camera with its projector.
     """
@@ -54,6 +54,16 @@ class Stack:
     def kind(self) -> PatternKind:
         """Kind of the whole step: FRINGES also for a step with a Gray code or uniform grey beside the fringes."""
         return _kind_of_step(self.records[-1].pattern)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the stack was taken to be measured while the surface moves, see `moving_frames`."""
+        return bool(moving_frames(self.patterns))
+
+    @property
+    def time(self) -> int:
+        """Time that the results belong to [ns], see `time_of`."""
+        return time_of(self.records)
 
     @property
     def exposure_times(self) -> list[float]:

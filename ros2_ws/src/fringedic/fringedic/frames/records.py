@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fringedic.errors import ImageError
 from fringedic.frames.sensor import SENSOR, sensor_name
-from fringedic.patterns.pattern import PatternMessage, ProjectedPattern, pattern_of_message
+from fringedic.patterns.pattern import PatternMessage, ProjectedPattern, moving_frames, pattern_of_message
 from fringedic.wording.arguments import check_value
 
 
@@ -64,6 +64,24 @@ class FrameRecord:
     def step_key(self) -> StepKey:
         """The frames of one step have it in common."""
         return StepKey(self.experiment, self.step, self.sensor)
+
+
+def time_of(records: Sequence[FrameRecord]) -> int:
+    """Return the time that the results of a stack belong to [ns].
+
+    It is the middle of the finest pitch of a moving surface, see `moving_frames`; of a surface at rest, which has the
+    same results at all times of its exposures, it is the stamp of the last one.
+
+    Parameters
+    ----------
+    records
+        Of the frames, in their order.
+    """
+    finest = moving_frames([record.pattern for record in records])
+    if not finest:
+        return records[-1].stamp
+    first = records[finest[0]].stamp
+    return first + round(sum(records[k].stamp - first for k in finest) / len(finest))
 
 
 class Frame(NamedTuple):

@@ -6,5 +6,6 @@ from .response import ResponseCurve as ResponseCurve
 from .sequences import PatternSequence as PatternSequence
 from .sequences import fringe_sequence as fringe_sequence
 from .sequences import gray_code_sequence as gray_code_sequence
+from .sequences import moving_sequence as moving_sequence
 from .sequences import one_image_sequence as one_image_sequence
 from .sequences import step_sequence as step_sequence

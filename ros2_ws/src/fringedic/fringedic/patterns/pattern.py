@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -20,6 +21,7 @@ class PatternKind(IntEnum):
 
 
 PHASE_KINDS = frozenset({PatternKind.FRINGES, PatternKind.GRAY_CODE, PatternKind.GREY})  # frames of a fringe step
+UNIFORM_KINDS = frozenset({PatternKind.WHITE, PatternKind.GREY})
 
 
 class Orientation(IntEnum):
@@ -75,7 +77,37 @@ class ProjectedPattern:
 
 
 WHITE = ProjectedPattern(PatternKind.WHITE)
+UNIFORM = ProjectedPattern(PatternKind.GREY, shift=1, shifts=1)  # as bright as white, in a stack of fringes
 SETUP = ProjectedPattern(PatternKind.OTHER)  # one of the named set-up patterns
+
+
+def moving_frames(patterns: Sequence[ProjectedPattern]) -> list[int]:
+    """Return the numbers of the frames of the finest pitch in the stack of a moving surface.
+
+    Such a stack contains frames of uniform light before and after those of its finest pitch, which show the motion
+    between them. The middle of the finest pitch is the time of all results.
+
+    Parameters
+    ----------
+    patterns
+        Pattern of each frame.
+
+    Returns
+    -------
+    list of int
+        Empty for the stack of a surface at rest.
+
+    Examples
+    --------
+    >>> fringes = [ProjectedPattern(PatternKind.FRINGES, pitch=10.0, shift=k, shifts=4) for k in range(1, 5)]
+    >>> moving_frames([UNIFORM, *fringes, UNIFORM]), moving_frames([UNIFORM, *fringes])
+    ([1, 2, 3, 4], [])
+    """
+    pitches = [each.pitch for each in patterns if each.kind == PatternKind.FRINGES]
+    finest = [k for k, each in enumerate(patterns) if each.kind == PatternKind.FRINGES and each.pitch == min(pitches)]
+    uniform = [k for k, each in enumerate(patterns) if each.kind in UNIFORM_KINDS]
+    around = finest and uniform and uniform[0] < finest[0] and uniform[-1] > finest[-1]
+    return finest if around else []
 
 
 class PatternMessage(Protocol):

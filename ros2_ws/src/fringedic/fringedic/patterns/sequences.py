@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from fringedic.errors import PatternError
-from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import UNIFORM, Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.render import check_pattern, render_pattern
 from fringedic.patterns.response import ResponseCurve
 from fringedic.wording.arguments import check_arguments, either, number, several, text, whole
@@ -285,6 +285,57 @@ def step_sequence(
     if fringe_order == "one_image":
         return one_image_sequence(width, height, pitches[-1], orientation, grey=grey_frame)
     return fringe_sequence(width, height, pitches, shifts, orientation)
+
+
+@check_arguments(
+    PatternError,
+    width=whole(),
+    height=whole(),
+    pitches=several(number()),
+    shifts=several(whole(high=MOST_FRAMES)),
+    orientation=text,
+    order=several(whole()),
+    parts=whole(low=3),
+)
+def moving_sequence(
+    width: int,
+    height: int,
+    pitches: Sequence[float],
+    shifts: Sequence[int],
+    orientation: str = "vertical",
+    *,
+    order: Sequence[int],
+    parts: int,
+) -> PatternSequence:
+    """Return the sequence of a surface that moves: uniform light before and after the finest pitch shows the motion.
+
+    Parameters
+    ----------
+    width, height, pitches, shifts, orientation
+        See `fringe_sequence`; the shifts are those of the coarser pitches.
+    order, parts
+        Shift k of each frame of the finest pitch, and q, from `fringedic.phase.plan_shifts`.
+
+    Returns
+    -------
+    PatternSequence
+        The coarser pitches, uniform light, the finest pitch, uniform light.
+
+    Raises
+    ------
+    PatternError
+        See `fringe_sequence`.
+
+    Examples
+    --------
+    >>> sequence = moving_sequence(800, 600, [800, 80], [4], order=[3, 2, 1, 4, 3, 2, 1, 4], parts=4)
+    >>> len(sequence), str(sequence.patterns[4])
+    (14, 'uniform grey of 1/1')
+    """
+    finest = ProjectedPattern(PatternKind.FRINGES, _direction(orientation), float(pitches[-1]), 1, parts)
+    coarse = fringe_sequence(width, height, pitches[:-1], list(shifts), orientation).patterns if shifts else ()
+    fine = tuple(replace(finest, shift=shift) for shift in order)
+    return _checked(PatternSequence(width, height, (*coarse, UNIFORM, *fine, UNIFORM)))
 
 
 def _direction(orientation: str) -> Orientation:

@@ -14,7 +14,7 @@ from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
 from fringedic.frames.interpolation import INVERSE, WEIGHTS
 from fringedic.frames.interpolation_kernels import BORDER, fit_spline
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import UNIFORM_KINDS, ProjectedPattern
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.moving_kernel import CELL, align_frame, find_orders, fit_drifting, fit_known_drift
@@ -110,7 +110,7 @@ def demodulate_moving(
         Of the middle of each exposure [s], rising.
     patterns
         Pattern of each frame: fringes of one orientation, pitches coarse to fine, whole cycles of q >= 3 shifts, at
-        least 5 frames of the finest pitch. Frames of white light between them are ignored.
+        least 5 frames of the finest pitch. Frames of white or grey light between them are ignored.
     displacement
         Motion of the material points; its time 0 is the middle of the frames of the finest pitch.
     settings
@@ -163,9 +163,9 @@ def demodulate_moving(
     -1.0
     """
     times = times.astype(np.float64)
-    fringes = np.array([each.kind != PatternKind.WHITE for each in patterns], bool)
+    fringes = np.array([each.kind not in UNIFORM_KINDS for each in patterns], bool)
     _check(frames, times, patterns, displacement)
-    layout = layout_of([each for each in patterns if each.kind != PatternKind.WHITE])
+    layout = layout_of([each for each in patterns if each.kind not in UNIFORM_KINDS])
     _check_layout(layout)
     stack = _align(np.asarray(frames)[fringes], times[fringes], layout, displacement, settings.saturation)
     if not abs(drift) * stack.unit < _LARGEST_DRIFT:

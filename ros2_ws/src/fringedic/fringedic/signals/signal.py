@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fringedic.signals.samples import FEWEST_FOR_A_LINE, SampleSummary, residuals, samples_over, summarise
+from fringedic.signals.samples import FEWEST_FOR_A_LINE, NEAR_NS, SampleSummary, residuals, samples_over, summarise
 
 
 class Channel(NamedTuple):
@@ -42,7 +42,7 @@ class SignalValue(NamedTuple):
     Attributes
     ----------
     mean
-        Of the samples; NaN without any.
+        Of the samples, or the value at the time of a stack in motion; NaN without any.
     sigma
         Its standard uncertainty: that of the sensor, and the scatter of the samples about a straight line. NaN where
         that of the sensor is not known.
@@ -104,6 +104,45 @@ class Signal:
         if count >= FEWEST_FOR_A_LINE:
             variance += float(np.sum(residuals(stamps, values) ** 2)) / (count - 2) / count
         return SignalValue(summarise(stamps, values).mean, float(np.sqrt(variance)))
+
+    def value_at(self, time: float, begin: float, end: float) -> SignalValue:
+        """Return the value at one time of a test in motion, by the straight line through the samples around it.
+
+        Parameters
+        ----------
+        time
+            The time [ns].
+        begin, end
+            The line is fitted to the samples from the last one before `begin` to the first one after `end` [ns].
+
+        Returns
+        -------
+        SignalValue
+            NaN where the samples end more than a second before the time, or begin more than a second after it. Of fewer
+            than three samples, whose scatter is not known, the uncertainty is that of the sensor.
+
+        Examples
+        --------
+        >>> seconds = np.arange(4)
+        >>> force = Signal(FORCE, 10**9 * seconds, 5.0 + 2.0 * seconds, np.full(4, 0.5))
+        >>> force.value_at(1.25e9, 1e9, 2e9)
+        SignalValue(mean=7.5, sigma=0.5)
+        """
+        around = self.around(begin, end)
+        stamps, values = around.stamps, around.values
+        if not stamps.size or not stamps[0] - NEAR_NS < time < stamps[-1] + NEAR_NS:
+            return SignalValue()
+        centred = 1e-9 * (stamps - stamps[0])
+        middle = float(centred.mean())
+        centred -= middle
+        away = 1e-9 * (time - float(stamps[0])) - middle
+        moment = float(centred @ centred)
+        slope = float(centred @ values) / moment if moment > 0 else 0.0
+        variance = float(np.mean(around.sigmas**2))
+        if len(values) >= FEWEST_FOR_A_LINE and moment > 0:
+            scatter = float(np.sum(residuals(stamps, values) ** 2)) / (len(values) - 2)
+            variance += scatter * (1 / len(values) + away**2 / moment)
+        return SignalValue(float(values.mean()) + slope * away, float(np.sqrt(variance)))
 
     def on_the_clock_of_the_rig(self, offset: float, drift: float, since: int) -> Signal:
         """Return the signal of a sensor that stamps with its own clock, with the stamps of the rig's clock.

@@ -21,7 +21,10 @@ class ClosureChecks:
 
     @staticmethod
     def phase(stack: Stack, result: PhaseResult) -> dict[str, np.ndarray]:
-        """Return the closure between the pitches of a step; none of several exposures, one pitch or a relative phase.
+        """Return the closure between the pitches of a step.
+
+        There is none of several exposures, one pitch, a relative phase, or a moving surface, whose pitches are seen at
+        several times.
 
         Parameters
         ----------
@@ -35,6 +38,8 @@ class ClosureChecks:
         dict
             ``phase_closure`` [standard deviations], float32 (row, column).
         """
+        if stack.is_moving:
+            return {}
         exposures = split_exposures(stack.frames, stack.patterns, stack.exposure_times)
         if result.relative or len(exposures) > 1:
             return {}

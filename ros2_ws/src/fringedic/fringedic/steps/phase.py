@@ -31,7 +31,7 @@ def moving_phase_step(
     Parameters
     ----------
     stack
-        Fringe frames, and white frames before and after those of the finest pitch.
+        Fringe frames, and frames of uniform light before and after those of the finest pitch.
     parameters
         Noise, limits and the smallest valid part.
     initial, drift
@@ -40,7 +40,7 @@ def moving_phase_step(
     Returns
     -------
     PhaseResult
-        Its stamp is the middle time; ``maps`` contains ``drift`` and ``sigma_drift`` [rad/s] beside the others.
+        At `Stack.time`; ``maps`` contains ``drift`` and ``sigma_drift`` [rad/s] beside the others.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def moving_phase_step(
     return PhaseResult(
         experiment=stack.experiment,
         step=stack.step,
-        stamp=first + round(1e9 * measured.attrs["time"]),
+        stamp=stack.stamp,
         maps=measured[["phase", "sigma", "modulation", "drift", "sigma_drift"]].assign(texture=texture),
         pitch=finest.pitch,
         orientation=finest.orientation,
@@ -80,7 +80,7 @@ def moving_phase_step(
 
 
 def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
-    """Check the frames of a step and measure its phase (eq. 11).
+    """Check the frames of a step and measure its phase (eq. 11), in motion if its frames were taken for it.
 
     Raises
     ------
@@ -98,6 +98,8 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
             step=stack.step,
             code=ErrorCode.FRAME_MISMATCH,
         )
+    if stack.is_moving:
+        return moving_phase_step(stack, parameters)
     try:
         measured, remarks = measure_phase(
             stack.frames, stack.patterns, _settings(parameters), exposure_times=stack.exposure_times

@@ -36,7 +36,7 @@ class MeasuredStep:
     step
         Its number.
     stamp
-        Stamp of its last exposure [ns]; None when its last frame is missing.
+        Its time [ns], see `Stack.time`; None when its last frame is missing.
     error
         Why it could not be measured to the end, without the name of the step; empty when it could.
     phase, displacement, coupling
@@ -167,7 +167,7 @@ class OfflinePipeline:
         return [*lost, self._measure(stack)]
 
     def _measure(self, stack: Stack) -> MeasuredStep:
-        measured = MeasuredStep(stack.step, stack.stamp)
+        measured = MeasuredStep(stack.step, stack.time)
         try:
             if stack.kind == PatternKind.WHITE:
                 self._displace(stack, white_texture(stack.frames[-1]), measured)

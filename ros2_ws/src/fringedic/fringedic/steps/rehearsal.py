@@ -11,7 +11,7 @@ import xarray as xr
 
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
-from fringedic.patterns.sequences import fringe_sequence
+from fringedic.patterns.sequences import PatternSequence, fringe_sequence, moving_sequence
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.step_results import DicResult, PhaseResult
@@ -21,10 +21,11 @@ WINDOW = 11  # [px] of local frame and strain
 
 
 def rehearse_phase() -> None:
-    """Measure the phase of a small stack of 8 bits."""
+    """Measure the phase of small stacks of 8 bits, at rest and in motion."""
     from fringedic.steps.phase import phase_step
 
-    phase_step(small_stack(np.uint8, 0), PhaseParameters())
+    for stack in (small_stack(np.uint8, 0), small_moving_stack(np.uint8)):
+        phase_step(stack, PhaseParameters())
 
 
 def rehearse_displacement() -> None:
@@ -82,14 +83,25 @@ def small_rig() -> RigModel:
 
 def small_stack(dtype: type[np.unsignedinteger], step: int) -> Stack:
     """Return fringes on a rough texture in images of 8 or 16 bits."""
-    sequence = fringe_sequence(SIZE, SIZE, [SIZE, SIZE / 8], 4)
+    return _stack_of(fringe_sequence(SIZE, SIZE, [SIZE, SIZE / 8], 4), dtype, step)
+
+
+def small_moving_stack(dtype: type[np.unsignedinteger]) -> Stack:
+    """Return the same surface, at rest, with the sequence of one that moves."""
+    order = (3, 2, 1, 4, 3, 2, 1, 4)
+    return _stack_of(moving_sequence(SIZE, SIZE, [SIZE, SIZE / 8], [4], order=order, parts=4), dtype, 0)
+
+
+def _stack_of(sequence: PatternSequence, dtype: type[np.unsignedinteger], step: int) -> Stack:
     texture = 0.5 + 0.5 * np.random.default_rng(1).random((SIZE, SIZE))
     grey = np.stack([frame * texture for frame in sequence]) * (np.iinfo(dtype).max / 255)
     records = [
-        FrameRecord("warm up", step, index, len(sequence), pattern, stamp=index, exposure_time=0.01, dropped=0)
+        FrameRecord(
+            "warm up", step, index, len(sequence), pattern, stamp=10_000_000 * index, exposure_time=0.01, dropped=0
+        )
         for index, pattern in enumerate(sequence.patterns)
     ]
-    return Stack(np.dtype(dtype).name, step, records, grey.astype(dtype), stamp=len(sequence))
+    return Stack(np.dtype(dtype).name, step, records, grey.astype(dtype), stamp=records[-1].stamp)
 
 
 def at_rest(spacing: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from fringedic.correlation import measure_displacement
 from fringedic.errors import CorrelationError, ErrorCode, StepError
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import UNIFORM_KINDS, ProjectedPattern
 from fringedic.phase import ImageMotion, PhaseSettings, demodulate_moving
 from fringedic.phase.layout import layout_of
 from fringedic.phase.settings import DEFAULT_SETTINGS
@@ -48,9 +48,9 @@ def measure_moving_phase(
 ) -> MovingPhase:
     """Measure motion and phase of a moving stack.
 
-    White frames before and after the finest pitch give the velocity, a third one the acceleration. They contain no
-    fringes, so that the motion does not depend on the phase and needs no iteration. Without them the motion is
-    `initial`, such as that between the textures of the stacks before and after, see `motion_between`.
+    White frames (or uniform grey) before and after the finest pitch give the velocity, a third one the acceleration.
+    They contain no fringes, so that the motion does not depend on the phase and needs no iteration. Without them the
+    motion is `initial`, such as that between the textures of the stacks before and after, see `motion_between`.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def motion_of_white_frames(
         The textures do not agree.
     """
     finest = _finest(patterns)
-    white = [k for k, each in enumerate(patterns) if each.kind == PatternKind.WHITE]
+    white = [k for k, each in enumerate(patterns) if each.kind in UNIFORM_KINDS]
     before, after = [k for k in white if k < finest[0]], [k for k in white if k > finest[-1]]
     if not before or not after:
         return None
@@ -145,7 +145,7 @@ def motion_between(first: np.ndarray, second: np.ndarray, interval: float, *, wi
 
 def _finest(patterns: Sequence[ProjectedPattern]) -> list[int]:
     """Return the numbers of the frames of the finest pitch."""
-    fringes = [k for k, each in enumerate(patterns) if each.kind != PatternKind.WHITE]
+    fringes = [k for k, each in enumerate(patterns) if each.kind not in UNIFORM_KINDS]
     return [fringes[k] for k in range(*layout_of([patterns[k] for k in fringes]).slices()[-1].indices(len(fringes)))]
 
 

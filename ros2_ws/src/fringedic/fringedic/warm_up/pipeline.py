@@ -25,7 +25,16 @@ from fringedic.phase.beats import combine_beats
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
-from fringedic.steps.rehearsal import SIZE, WINDOW, at_rest, rehearse_coupling, set_writable, small_rig, small_stack
+from fringedic.steps.rehearsal import (
+    SIZE,
+    WINDOW,
+    at_rest,
+    rehearse_coupling,
+    set_writable,
+    small_moving_stack,
+    small_rig,
+    small_stack,
+)
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.planes import fit_planes
@@ -88,6 +97,7 @@ def _phase() -> None:
         for dtype in (np.uint8, np.uint16):
             phase_step(small_stack(dtype, 0), _PHASE)
             phase_step(_twice_exposed(small_stack(dtype, 0)), _PHASE)
+            phase_step(small_moving_stack(dtype), _PHASE)
         alike = np.zeros((2, 1, 1), np.float32)
         combine_beats(alike, alike + 1, (21.0, 20.0), known_noise=True)
 

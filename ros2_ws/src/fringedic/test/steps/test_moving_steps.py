@@ -62,7 +62,8 @@ def errors_of(rig: VirtualRig, rate: float) -> dict[str, float]:
         stack = moving_stack(rig, ConstantRate(position, rate), step)
         if rate:
             phase = moving_phase_step(stack, NOISE)
-            assert phase.stamp == 10**9 * (1 + 10 * step)
+            assert stack.time == 10**9 * (1 + 10 * step)
+            assert phase.stamp == stack.stamp
             assert np.isfinite(phase.maps.drift.values).mean() > 0.5
         else:
             phase = phase_step(without_white(stack), NOISE)
