@@ -161,6 +161,22 @@ def test_keys_that_do_not_fit_are_refused(
 
 
 @pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("9" * 1_000_000, "'F?' was answered with more than 4095 characters, '9999"),
+        ("<script>alert(1)</script>\x1b[31m" + 1500 * ";1", "'<script>alert(1)</script>"),
+    ],
+)
+def test_hostile_replies_are_refused_in_a_short_sentence(text: str, words: str, tmp_path: Path) -> None:
+    with TextInstrument(force=text).on_socket() as resource, pytest.raises(MachineError) as refused:
+        opened(tmp_path, resource, {"timeout_s": 0.3})
+    said = str(refused.value)
+    assert words in said
+    assert len(said) < 400
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize(
     ("form", "newton"),
     [("{newton:.1f} N", 1000.0), ("{kn:.4f} kN", 1000.0), ("{kn:.4f}kN", 1000.0), ("{kn:.1e} KN", 1000.0),
      ("-  {kn} mN", -1e-3), ("{newton:.3f}\r", 1000.0)],

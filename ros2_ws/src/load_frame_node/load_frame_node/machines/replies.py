@@ -16,6 +16,7 @@ _NUMBERS = {
 }
 _SEPARATORS = (";", "|", ",", "=", ":", " ")  # that replies are tried with, to find what to change in the file
 _SHOWN = 40  # characters of a reply that a message repeats
+_PLACES = 8  # of numbers in a reply that a message lists
 
 
 class UnfitReplyError(MachineGoneError):
@@ -123,7 +124,7 @@ def _cure(text: str, query: NumberQuery, name: str) -> str:
             sign = f"it has a decimal {'comma' if decimal == ',' else 'point'}: {words} {name}"
             if separator is None:
                 return f": {sign}"
-            places = " or ".join(map(str, numbers))
+            places = " or ".join(map(str, numbers[:_PLACES]))
             parts = f"add separator: {separator!r} and index: {places} to {name}"
             return f": it contains several values: {parts}{f'; {sign}' if changes_sign else ''}"
     return ""

@@ -19,6 +19,8 @@ from load_frame_node.machines.replies import UnfitReplyError, number_in, quoted,
 
 _CHECK_PERIOD_S, _SHORTEST_CHECK_S = 1.0, 0.002
 _LONGEST_REST = 200  # characters that are read of what a machine sends without a request
+_LONGEST_REPLY = 4096  # bytes with the end; a machine that sends for ever would fill the memory
+_LONGEST_ACKNOWLEDGEMENT = 40  # characters that the machine file is advised to contain
 _NEXT_BYTE_MS = 100  # longest wait within such characters; at 300 baud each takes 33 ms
 _LATE_S = 1.0  # at least so long a late answer is awaited, to find out that timeout_s is too short
 _LINE = "serial: baud_rate, data_bits, parity, stop_bits and flow_control"
@@ -192,13 +194,19 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
 
     def _line(self, request: str) -> str:
         try:
-            line: bytes = self._resource.read_raw()
+            line: bytes = self._resource.read_bytes(_LONGEST_REPLY, break_on_termchar=True)
         except (pyvisa.Error, OSError) as error:
             raise MachineGoneError(self._silence(request, error)) from error
         try:
-            return line.decode()
+            text = line.decode()
         except UnicodeDecodeError:
-            return line.decode("latin-1")
+            text = line.decode("latin-1")
+        if len(line) == _LONGEST_REPLY:
+            raise MachineGoneError(
+                f"'{request}' was answered with more than {_LONGEST_REPLY - 1} characters, {shown(text)}...: "
+                "check query and read_termination"
+            )
+        return text
 
     def _write(self, request: str) -> None:
         try:
@@ -236,7 +244,7 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         """Return the error of a reply that does not fit, which may be a line that belongs to no query."""
         if self._is_repeated(reply):
             return MachineGoneError(f"{error}: it repeats requests: add echo: true")
-        if self._unanswered and not error.cure:
+        if self._unanswered and not error.cure and len(reply.strip()) <= _LONGEST_ACKNOWLEDGEMENT:
             return MachineGoneError(
                 f"{error}; if it answered the command '{self._unanswered[0]}' with it, add acknowledge: "
                 f"{_yaml(reply.strip())}"
