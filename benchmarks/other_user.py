@@ -2,6 +2,10 @@
 
 Root starts each command, and becomes the user `nobody` for the attempts. A program with the usual settings of ROS 2,
 and one that avoids shared memory, try to read samples and images and to move the machine.
+
+    sudo python benchmarks/other_user.py [COMMAND ...] [RECORDING]
+
+RECORDING is replayed; the default one ends before the attempts do.
 """
 
 from __future__ import annotations
@@ -152,6 +156,7 @@ def is_ready(title: str, process: psutil.Process) -> bool:
 
 def main() -> None:
     """Start each command and print what the second user reaches."""
+    recordings = [str(Path(each).resolve()) for each in sys.argv[1:] if "/" in each][:1]
     table = Table("command", "TCP", "UDP", "attempts on ports", "shared memory", "ROS, usual settings", "ROS, UDP only")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -170,9 +175,9 @@ def main() -> None:
             "view": ["view", str(folder / "many/0"), "--port", "8124"],
             "view --foxglove": ["view", str(RECORDING), "--foxglove", "--port", "8125"],
             "campaign run --workers 2": ["campaign", "run", str(folder / "campaign"), "--workers", "2"],
-            "replay": ["replay", str(folder / "many/1")],
+            "replay": ["replay", *(recordings or [str(folder / "many/1")]), "--output", str(folder / "again")],
         }
-        chosen = sys.argv[1:] or list(commands)
+        chosen = [each for each in sys.argv[1:] if each in commands] or list(commands)
         for title in chosen:
             with subprocess.Popen(
                 ["fringedic", *commands[title]], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

@@ -19,6 +19,15 @@ from fringedic.signals import Sample
 from fringedic_msgs.msg import ProcedureStatus, StepStatus
 
 LOG_LINES = 200
+MOST_NODES = 200  # names of diagnostics that are shown; drivers of others may send any number
+OTHER_NODES = {
+    "name": "other diagnostics",
+    "level": "warning",
+    "message": f"there may be more than {MOST_NODES} names; the others are not shown",
+    "values": {},
+}
+MOST_VALUES = 100  # of the diagnostics of a node
+LONGEST_TEXT = 2000  # characters of a text from elsewhere: the page is sent whole lists of them
 RATE_SPAN_S = 60.0  # over which the use of the disk is averaged
 SILENT_S = 5.0  # without diagnostics, after which a node is called silent
 BUSY = range(ProcedureStatus.RUNNING, ProcedureStatus.DONE)
@@ -84,8 +93,10 @@ class RigState:
             nodes = [
                 node | ({"level": "silent", "message": "no diagnostics"} if now - seen > SILENT_S else {})
                 for seen, node in self._nodes.values()
-                if now - seen <= SILENT_S or (self._is_busy and seen > self._begun)
+                if self._is_present(seen, now)
             ]
+            if len(nodes) == MOST_NODES:
+                nodes.append(OTHER_NODES)
             steps = [
                 self._steps.get(number, {"step": number, "error": ""}) | {"mapped": mapped.get(number, 0)}
                 for number in sorted(self._steps.keys() | mapped.keys())
@@ -117,7 +128,7 @@ class RigState:
             row = self._steps.setdefault(message.step, {"step": message.step, "error": ""})
             row["stage"], row["reference"] = STAGES[message.stage], message.reference
             if message.stage == StepStatus.ERROR:
-                row["error"] = f"{message.error_message} (error {message.error_code})"
+                row["error"] = f"{_shortened(message.error_message)} (error {message.error_code})"
             elif message.stage == StepStatus.END:
                 row["signals"] = {each["name"]: each["value"] for each in self._parts["signals"]}
             return another
@@ -135,7 +146,7 @@ class RigState:
         """Take the mode of the load frame."""
         mode = LOAD_MODES[message.mode] if message.mode < len(LOAD_MODES) else f"mode {message.mode}"
         self._seen["load"] = self._clock()
-        self._set("load", {"mode": f"{mode} ({message.reason})" if message.reason else mode})
+        self._set("load", {"mode": f"{mode} ({_shortened(message.reason)})" if message.reason else mode})
 
     def take_signals(self, latest: Mapping[str, Sample]) -> None:
         """Take the latest sample of each signal, rounded so that noise is no change."""
@@ -169,22 +180,30 @@ class RigState:
         )
 
     def take_diagnostics(self, message: Any) -> None:
-        """Take the diagnostics of nodes."""
+        """Take the diagnostics of nodes; of more than `MOST_NODES`, those that came first."""
         now = self._clock()
         with self._lock:
+            if len(self._nodes) + len(message.status) > MOST_NODES:
+                self._nodes = {name: each for name, each in self._nodes.items() if self._is_present(each[0], now)}
             for status in message.status:
-                values = {each.key: each.value for each in status.values}
-                level = ("ok", "warning", "error", "silent")[_level(status.level)]
-                node = {"name": status.name, "level": level, "message": status.message, "values": values}
-                self._nodes[status.name] = (now, node)
                 if status.name.rpartition("/")[2] == "recorder" and "recorder" in self._seen:
                     self._seen["recorder"] = now  # its own topic has the changes alone
+                if status.name not in self._nodes and len(self._nodes) >= MOST_NODES:
+                    continue
+                values = {_shortened(each.key): _shortened(each.value) for each in status.values[:MOST_VALUES]}
+                level = ("ok", "warning", "error", "silent")[_level(status.level)]
+                words = {"name": _shortened(status.name), "level": level, "message": _shortened(status.message)}
+                self._nodes[status.name] = (now, words | {"values": values})
+
+    def _is_present(self, seen: float, now: float) -> bool:
+        """Return whether a node with diagnostics at a time is shown."""
+        return now - seen <= SILENT_S or (self._is_busy and seen > self._begun)
 
     def take_log(self, message: Any) -> None:
         """Take a line of the log."""
         line = {"time": message.stamp.sec, "level": LEVELS.get(message.level, ""), "node": message.name}
         with self._lock:
-            self._log.append(line | {"text": message.msg})
+            self._log.append(line | {"text": _shortened(message.msg)})
 
     def take_procedure(self, message: Any, topic: str) -> None:
         """Take the state of the procedure (topic "procedure") or of the live view ("live")."""
@@ -317,6 +336,11 @@ def _report(item: str, folder: str) -> str:
 
 def _level(level: bytes | int) -> int:
     return min(level[0] if isinstance(level, bytes) else int(level), 3)
+
+
+def _shortened(text: str) -> str:
+    """Return a text from elsewhere without what the page has no room for."""
+    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}... ({len(text)} characters)"
 
 
 def _rounded(value: float, digits: int) -> float:

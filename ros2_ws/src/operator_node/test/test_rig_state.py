@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Log
 
 from fringedic.signals import SignalCollector
 from fringedic_msgs.msg import (
@@ -170,3 +172,23 @@ def test_machine_and_recorder_of_nodes_that_are_gone_are_not_shown(
     assert [(each["name"], each["value"]) for each in found["signals"]] == [("force", None), ("position", None)]
     clock.now += 4
     assert state.snapshot({})["recorder"] is None
+
+
+def test_texts_and_names_without_limit_do_not_fill_the_page(state: RigState, clock: Clock) -> None:
+    hostile = "<script>alert(1)</script>\x1b[2J" + 1_000_000 * "x"
+    state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name="/rig/camera", level=b"\0")]))
+    for first in range(0, 30_000, 10_000):
+        names = [f"{hostile if number < 3 else ''}{number}" for number in range(first, first + 10_000)]
+        state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name=name, message="m") for name in names]))
+    for _ in range(300):
+        state.take_log(Log(msg=hostile))
+    state.take_load(LoadState(reason=hostile))
+    state.take_step(StepStatus(stage=StepStatus.ERROR, error_message=hostile))
+    found = state.snapshot({})
+    assert [len(found["nodes"]), len(found["log"])] == [201, 200]
+    assert (found["nodes"][0]["name"], found["nodes"][-1]["name"]) == ("/rig/camera", "other diagnostics")
+    assert len(json.dumps(found)) < 600_000
+    assert found["load"]["mode"].endswith("x... (1000029 characters))")
+    clock.now += 6
+    state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name="/rig/phase", level=b"\0")]))
+    assert [each["name"] for each in state.snapshot({})["nodes"]] == ["/rig/phase"]
