@@ -283,3 +283,31 @@ def test_every_view_fits_a_phone_and_has_enough_contrast(page: Page, view: str, 
     page.wait_for_selector(VIEWS[view])
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 320
     assert low_contrasts(page) == []
+
+
+def test_a_step_is_previewed_with_other_settings_and_exported(page: Page) -> None:
+    """The help leads to the manual of the same server."""
+    page.click("#views a[data-key=evaluate]")
+    expect(page.locator("#window + span")).to_have_text(re.compile(r"was \d+"))
+    page.fill("#window", "4,5,6")
+    page.click("#preview")
+    expect(page.locator("#message")).to_contain_text("no valid value")
+    page.fill("#window", "48")
+    page.click("#preview")
+    expect(page.locator("#previewed td").first).to_be_visible(timeout=90_000)
+    for picture in page.locator("#previewed img").all():
+        expect(picture).to_have_js_property("complete", True)
+        assert picture.evaluate("each => each.naturalWidth") > 100
+    page.select_option("#format", "csv")
+    page.select_option("#exported-step", "1")
+    with page.expect_download(timeout=60_000) as download:
+        page.click("#download")
+    assert download.value.suggested_filename == "run_csv.zip"
+    page.click("#help")
+    expect(page.locator("#help-text")).to_contain_text("named evaluation")
+    with page.expect_popup() as opened_page:
+        page.click("#help-text a")
+    expect(opened_page.value.locator("#evaluate")).to_have_text("Evaluate")
+    assert not low_contrasts(page)
+    page.set_viewport_size(NARROW)
+    assert page.evaluate("document.documentElement.scrollWidth") <= NARROW["width"]

@@ -46,6 +46,10 @@ class SpecimenMetadata(_Entries):
     test_number: str = Field("", description="Number of the test, for the certificate.")
     customer: str = Field("", description="Customer, for the certificate.")
     material: str = Field("", description="Material of the specimen.")
+    youngs_modulus_gpa: float | None = Field(
+        None, gt=0, description="Young's modulus of an isotropic elastic material [GPa], for maps of the stress."
+    )
+    poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, description="Poisson's ratio of the material.")
     section_mm2: float | None = Field(
         None, gt=0, description="Area that carries the force [mm²]: stress = force / area."
     )

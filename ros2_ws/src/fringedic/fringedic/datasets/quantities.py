@@ -130,6 +130,7 @@ class PeopleUnit(NamedTuple):
 _MILLIMETRE = PeopleUnit("mm", "mm", 1e-3)
 _MICROMETRE = PeopleUnit("µm", "um", 1e-6)
 _MICROSTRAIN = PeopleUnit("µstrain", "ustrain", 1e-6)
+_MEGAPASCAL = PeopleUnit("MPa", "MPa", 1e6)
 _PERCENT = PeopleUnit("%", "percent", 0.01)
 _LARGE_STRAIN = 0.01
 
@@ -154,8 +155,8 @@ def largest_of(values: Iterable[np.ndarray]) -> float:
 def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
     """Return the one unit of a map in pictures, curves, tables and exports.
 
-    Positions are in mm, displacements in µm and strain in µstrain; a map without the attribute ``units`` has that of
-    `MAPS`. Signals have the unit of their dataset, lengths mm.
+    Positions are in mm, displacements in µm, stress in MPa and strain in µstrain; a map without the attribute ``units``
+    has that of `MAPS`. Signals have the unit of their dataset, lengths mm.
 
     Parameters
     ----------
@@ -172,6 +173,8 @@ def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
         return _MILLIMETRE if name in POSITIONS else _MICROMETRE
     if units == "1":
         return strain_unit(largest)
+    if units == "Pa":
+        return _MEGAPASCAL
     return PeopleUnit(units, units.replace(" ", "_"), 1.0)
 
 

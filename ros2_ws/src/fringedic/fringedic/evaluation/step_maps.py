@@ -10,6 +10,8 @@ import xarray as xr
 
 from fringedic.errors import DatasetError
 
+_STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
+
 
 class StepValues(NamedTuple):
     """One quantity per step: its values, its unit and its meaning."""
@@ -74,6 +76,48 @@ def values_by_step(dataset: xr.Dataset, quantities: Mapping[str, StepValues]) ->
             for name, (values, units, long_name) in quantities.items()
         },
         {"step": dataset.step} if stepwise else {},
+    )
+
+
+def with_stresses(step: xr.Dataset, modulus: float, poisson_ratio: float) -> xr.Dataset:
+    """Return a step with the stress of an isotropic elastic sheet in plane stress, if it has a strain.
+
+    Parameters
+    ----------
+    step
+        With the strain ``e_11``, ``e_22``, ``e_12`` in the tangent plane, or ``e_xx``, ``e_yy``, ``e_xy`` of images.
+    modulus
+        Young's modulus [Pa].
+    poisson_ratio
+        Poisson's ratio [1].
+
+    Returns
+    -------
+    Dataset
+        With the principal stresses ``s_1`` >= ``s_2`` and the equivalent stress ``s_von_mises`` [Pa].
+
+    Examples
+    --------
+    Uniaxial tension with 1000 µstrain:
+
+    >>> strain = {"e_11": -0.3e-3, "e_22": 1e-3, "e_12": 0.0}
+    >>> step = xr.Dataset({name: (("row", "column"), [[value]]) for name, value in strain.items()})
+    >>> found = with_stresses(step, 70e9, 0.3)
+    >>> [round(float(found[name][0, 0]) / 1e6, 6) for name in ("s_1", "s_2", "s_von_mises")]
+    [70.0, 0.0, 70.0]
+    """
+    names = next((names for names in _STRAINS if all(name in step for name in names)), None)
+    if names is None:
+        return step
+    e_11, e_22, e_12 = (step[name] for name in names)
+    stiffness = modulus / (1 - poisson_ratio**2)
+    centre = 0.5 * stiffness * (1 + poisson_ratio) * (e_11 + e_22)
+    radius = modulus / (1 + poisson_ratio) * np.hypot(0.5 * (e_11 - e_22), e_12)
+    units = {"units": "Pa"}
+    return step.assign(
+        s_1=(centre + radius).assign_attrs(units),
+        s_2=(centre - radius).assign_attrs(units),
+        s_von_mises=np.sqrt(centre**2 + 3 * radius**2).assign_attrs(units),
     )
 
 

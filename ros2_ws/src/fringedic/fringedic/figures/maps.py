@@ -139,7 +139,9 @@ def save_pictures(
     return files
 
 
-def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> Figure:
+def maps_figure(
+    maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str, scales: Mapping[str, Scale] | None = None
+) -> Figure:
     """Draw maps of one step side by side, each with its own colour bar.
 
     Parameters
@@ -150,6 +152,8 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
         The maps to draw.
     title
         Of the picture.
+    scales
+        Colour scales by the names of maps; others are without the tails of the values.
 
     Raises
     ------
@@ -167,7 +171,8 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     figure = Figure(figsize=(2 * width, lines * height + _HEADING), dpi=100)
     _entitle(figure, title)
     for place, panel in enumerate(panels):
-        draw_map(_panel_axes(figure, size, place % 2, lines - 1 - place // 2), maps, panel)
+        axes = _panel_axes(figure, size, place % 2, lines - 1 - place // 2)
+        draw_map(axes, maps, panel, (scales or {}).get(panel.name))
     return figure
 
 

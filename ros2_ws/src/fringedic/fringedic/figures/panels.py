@@ -48,6 +48,11 @@ FLAT_STRAIN = (
     Panel("e_yy", "strain e_yy along y (up)"),
     Panel("e_xy", "shear strain e_xy (tensor)"),
 )
+STRESS = (
+    Panel("s_1", "larger principal stress s_1"),
+    Panel("s_2", "smaller principal stress s_2"),
+    Panel("s_von_mises", "equivalent stress (von Mises)"),
+)
 VON_MISES = Panel("e_von_mises", "equivalent strain (von Mises)")
 DISPLACEMENT_IN_IMAGE = (
     Panel("displacement_x", "displacement x (right)"),
@@ -70,6 +75,7 @@ ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *FLAT_STRAIN[:2], *DISPLACEMENT_IN_IMAGE
 _PICTURES = {
     "": ((HEIGHT, *DISPLACEMENT), DISPLACEMENT[:2], DISPLACEMENT_IN_IMAGE),
     "strain": ((*STRAIN, *PRINCIPAL), STRAIN, (*FLAT_STRAIN, *PRINCIPAL, VON_MISES)),
+    "stress": (STRESS,),
     "sigma": (
         (*SIGMAS, *SIGMAS_OF_STRAIN[:3]),
         SIGMAS,
@@ -79,7 +85,7 @@ _PICTURES = {
     ),
     "resolution": (RESOLUTIONS[:3], RESOLUTIONS[3:]),
 }
-_ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, VON_MISES)
+_ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, *STRESS, VON_MISES)
 _PANELS = {
     panel.name: panel
     for panels in (
@@ -96,7 +102,7 @@ def panel_of(name: str) -> Panel:
 
 
 def pictures_of(step: xr.Dataset) -> dict[str, tuple[Panel, ...]]:
-    """Return the panels of the pictures of a step by name: displacement (""), strain, sigma, resolution."""
+    """Return the panels of the pictures of a step by name: displacement (""), strain, stress, sigma, resolution."""
     measured = {
         str(name) for name, values in step.data_vars.items() if values.ndim == 2 and np.isfinite(values.values).any()
     }

@@ -47,12 +47,17 @@ def surface_figure(step: xr.Dataset) -> Figure:
     low, high = np.percentile(w[known], (0.5, 99.5))
     colour = ScalarMappable(Normalize(low, high if high > low else low + 1.0), colormaps["viridis"])
     faces = colour.to_rgba(np.where(known, w, low))
-    faces[~known] = 0.0  # not drawn
+    whole = known.copy()  # a face between four known points
+    whole[:-1, :-1] &= known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    faces[~whole] = 0.0  # not drawn
     figure = Figure(figsize=(10, 6.2), dpi=100)
     axes = figure.add_axes((-0.02, -0.05, 0.92, 1.05), projection="3d")
     # without gaps, as the drawing needs it: faces without a value are transparent
     filled = [np.where(known, each, each[known].mean()) for each in at]
-    axes.plot_surface(*filled, facecolors=faces, rstride=1, cstride=1, linewidth=0, antialiased=False, shade=False)  # type: ignore[attr-defined]
+    drawn = axes.plot_surface(
+        *filled, facecolors=faces, rstride=1, cstride=1, linewidth=0, antialiased=False, shade=False
+    )  # type: ignore[attr-defined]
+    drawn.set_clip_on(False)  # the axes are a square, beyond which the view reaches
     sizes = [max(float(np.ptp(each[known])), 1e-9) for each in at]
     axes.set_box_aspect([max(size, 0.15 * max(sizes)) for size in sizes], zoom=1.25)  # type: ignore[attr-defined]
     axes.locator_params(axis="z", nbins=3)

@@ -24,7 +24,7 @@ from fringedic.evaluation.named import SETTINGS, load_settings, run_of_evaluatio
 from fringedic.evaluation.noise_floor import check_static_steps, noise_floors
 from fringedic.evaluation.noise_floor import static_steps as steps_at_rest
 from fringedic.evaluation.probes import extensometer
-from fringedic.evaluation.step_maps import with_principal_strains
+from fringedic.evaluation.step_maps import with_principal_strains, with_stresses
 from fringedic.evaluation.truth import TRUTH, open_truth, truth_errors
 from fringedic.figures.animation import FRAME_MS, animation_frames
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
@@ -264,9 +264,13 @@ def _conditions(data: ReportData) -> dict[str, Any]:
 def _pictures(data: ReportData, gauges: Mapping[str, GaugePoints]) -> dict[str, Any]:
     shown = _last_measured(data.dataset)
     last = with_principal_strains(data.dataset.sel(step=shown))
+    modulus, ratio = data.metadata.specimen.youngs_modulus_gpa, data.metadata.specimen.poisson_ratio
+    if modulus is not None and ratio is not None:
+        last = with_stresses(last, 1e9 * modulus, ratio)
     surface = "w" in last and bool(np.isfinite(last["w"].values).any())
     return {
         "shown": shown,
+        "stress": "s_1" in last,
         "reference": _reference(data.dataset, last, gauges),
         "maps": [base64_png(maps_figure(last, panels, title=f"step {shown}")) for panels in pictures_of(last).values()],
         "residual": _residual(data.dataset, last),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import xarray as xr
 from fringedic.datasets.quantities import people_unit
 from fringedic.evaluation.named import compared_means
 from fringedic.evaluation.step_maps import with_principal_strains
-from fringedic.figures.maps import maps_figure
+from fringedic.figures.maps import Scale, maps_figure, scale_between
 from fringedic.figures.panels import panel_of
 from fringedic.report.templates import write_errors_named
 from fringedic.wording.numbers import number_text, uncertain_text
@@ -54,9 +55,16 @@ def write_preview(before: xr.Dataset, after: xr.Dataset, folder: Path) -> None:
     names = [name for name in _SHOWN if all(name in each and np.isfinite(each[name].values).any() for each in both)][:2]
     with write_errors_named(folder / PREVIEW):
         folder.mkdir(parents=True, exist_ok=True)
-        for title, each in zip(("before", "after"), both, strict=True):
+        panels, scales = tuple(map(panel_of, names)), {name: _common_scale(both, name) for name in names}
+        for file, title, each in zip(("before", "after"), ("before", "with the settings"), both, strict=True):
             if names:
-                figure = maps_figure(each, tuple(map(panel_of, names)), title=f"step {int(each.step)}: {title}")
-                figure.savefig(folder / f"{title}.png")
+                figure = maps_figure(each, panels, title=f"step {int(each.step)}: {title}", scales=scales)
+                figure.savefig(folder / f"{file}.png")
         rows = [asdict(row) for row in preview_rows(before, after)]
         (folder / PREVIEW).write_text(json.dumps({"rows": rows, "pictures": bool(names)}), "utf-8")
+
+
+def _common_scale(both: Sequence[xr.Dataset], name: str) -> Scale:
+    """Return one colour scale for a map before and with the settings."""
+    ends = [np.nanpercentile(each[name].values, (0.5, 99.5)) for each in both]
+    return scale_between(both[0][name], float(min(end[0] for end in ends)), float(max(end[1] for end in ends)))

@@ -49,7 +49,8 @@ BEYOND = """width => [...document.querySelectorAll("body *")].filter(each => {
 def dataset_of(folder: Path, strain: float, steps: int = 6) -> Path:
     """A tension test along y up to a strain, in equal steps, with noise."""
     metadata = Metadata.from_text(
-        "specimen: {name: plate, number: A-7, customer: '<b>Smith</b>', test_number: T 12, section_mm2: 10.0}"
+        "specimen: {name: plate, number: A-7, customer: '<b>Smith</b>', test_number: T 12, section_mm2: 10.0, "
+        "youngs_modulus_gpa: 3.0, poisson_ratio: 0.3}"
     )
     parameters = {
         "phase": PhaseParameters(),
@@ -124,6 +125,7 @@ def test_first_page_follows_the_template_of_the_laboratory_and_escapes_it(page: 
     assert "<h1>Test certificate: plate</h1>" in text
     assert 'class="logo" alt="logo of the laboratory" src="data:image/png;base64,' in text
     assert text.count(": name, date, signature") == 3
+    assert "Stress: plane stress of an isotropic elastic material" in text
 
 
 def test_strains_above_one_percent_are_in_percent(page: Path, tmp_path: Path) -> None:

@@ -83,6 +83,7 @@ class Site:
     port: int
     rig: SmallRig
     server: PageServer
+    answer_s: float = 10.0
 
     @property
     def origin(self) -> str:
@@ -90,7 +91,7 @@ class Site:
 
     def request(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
         """Send a request exactly as given; header names are written with underscores."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=self.answer_s)
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, body, named)
         answer = connection.getresponse()
