@@ -14,7 +14,7 @@ from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
 from fringedic.frames.interpolation import INVERSE, WEIGHTS
 from fringedic.frames.interpolation_kernels import BORDER, fit_spline
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
-from fringedic.patterns.pattern import UNIFORM_KINDS, ProjectedPattern
+from fringedic.patterns.pattern import UNIFORM_KINDS, ProjectedPattern, moving_frames
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.moving_kernel import CELL, align_frame, find_orders, fit_drifting, fit_known_drift
@@ -110,7 +110,8 @@ def demodulate_moving(
         Of the middle of each exposure [s], rising.
     patterns
         Pattern of each frame: fringes of one orientation, pitches coarse to fine, whole cycles of q >= 3 shifts, at
-        least 5 frames of the finest pitch. Frames of white or grey light between them are ignored.
+        least 5 frames of the finest pitch. Frames of white
+        or grey light next to the finest pitch add to the texture; others are ignored.
     displacement
         Motion of the material points; its time 0 is the middle of the frames of the finest pitch.
     settings
@@ -182,9 +183,11 @@ def demodulate_moving(
     fit = _fit_finest(stack, within, settings.noise)
     exposure = exposure_time / stack.unit
     _check_fit(fit, settings, exposure)
-    return _dataset(
-        *_unwrap(stack, fit, settings.minimum_modulation, prediction), stack, fit, exposure_time / stack.unit
-    )
+    phase, good = _unwrap(stack, fit, settings.minimum_modulation, prediction)
+    around = _uniform_around(patterns)
+    uniform = _align_frames(np.asarray(frames)[around], times[around] - stack.time, displacement, settings.saturation)
+    texture = _texture(_mean_with_even_drift(fit), layout.counts[-1], uniform)
+    return _dataset(phase, texture, good, stack, fit, exposure_time / stack.unit)
 
 
 def _check(
@@ -256,6 +259,25 @@ def _align(
     finest = times[layout.slices()[-1]]
     time, unit = float(finest.mean()), float((finest[-1] - finest[0]) / (len(finest) - 1))
     relative = times - time
+    aligned = _align_frames(frames, relative, displacement, saturation)
+    speed = np.nan_to_num(at_cells(np.ascontiguousarray(displacement.velocity, f4)))
+    change = np.zeros_like(speed)
+    if displacement.acceleration is not None:
+        change = np.nan_to_num(at_cells(np.ascontiguousarray(displacement.acceleration, f4)))
+    gains = np.stack([interpolation_gain(speed * t + 0.5 * change * t**2) for t in relative], axis=-1)
+    angles = [shift_angles(period) for period in layout.periods]
+    middles = [float(relative[where].mean()) / unit for where in layout.slices()]
+    shown = [
+        Shown(relative[where] / unit - middle, angle)
+        for where, middle, angle in zip(layout.slices(), middles, angles, strict=True)
+    ]
+    return _Aligned(aligned, layout, shown, middles, gains, time, unit)
+
+
+def _align_frames(
+    frames: np.ndarray, relative: np.ndarray, displacement: ImageMotion, saturation: float | None
+) -> np.ndarray:
+    """Return frames where the material points are at their times relative to time 0 [s]; NaN where saturated."""
     shape = frames.shape[1:]
     velocity = np.ascontiguousarray(displacement.velocity, f4)
     none = np.zeros((2, 0, 0), f4)
@@ -266,16 +288,42 @@ def _align(
     for frame, moment, out in zip(frames, relative, aligned, strict=True):
         fit_spline(frame.astype(f4), INVERSE, coefficients)
         align_frame(np.ascontiguousarray(frame), coefficients, WEIGHTS, velocity, acceleration, moment, limit, out)
-    speed = np.nan_to_num(at_cells(velocity))
-    change = np.nan_to_num(at_cells(acceleration)) if acceleration.size else np.zeros_like(speed)
-    gains = np.stack([interpolation_gain(speed * t + 0.5 * change * t**2) for t in relative], axis=-1)
-    angles = [shift_angles(period) for period in layout.periods]
-    middles = [float(relative[where].mean()) / unit for where in layout.slices()]
-    shown = [
-        Shown(relative[where] / unit - middle, angle)
-        for where, middle, angle in zip(layout.slices(), middles, angles, strict=True)
-    ]
-    return _Aligned(aligned, layout, shown, middles, gains, time, unit)
+    return aligned
+
+
+def _uniform_around(patterns: Sequence[ProjectedPattern]) -> list[int]:
+    """Return the numbers of the frames of uniform light next to those of the finest pitch; empty without both."""
+    finest = moving_frames(patterns)
+    if not finest:
+        return []
+    uniform = [k for k, each in enumerate(patterns) if each.kind in UNIFORM_KINDS]
+    return [max(k for k in uniform if k < finest[0]), min(k for k in uniform if k > finest[-1])]
+
+
+def _texture(mean: np.ndarray, count: int, uniform: np.ndarray) -> np.ndarray:
+    """Return the mean of the frames of the finest pitch, weighted by their number, and of uniform light around them.
+
+    All are symmetric about time 0, so that an error of the velocity does not displace the texture. Uniform light is
+    brighter than the mean of fringes: it is worth two of their frames or more.
+
+    Parameters
+    ----------
+    mean
+        Of the frames of the finest pitch [grey level].
+    count
+        Their number.
+    uniform
+        Aligned frames of uniform light; none or two.
+    """
+    if not len(uniform):
+        return mean
+    light = uniform.sum(axis=0)
+    known = np.isfinite(light) & (mean > 0)
+    if not known.any():
+        return mean
+    brightness = f4(np.median(light[known] / mean[known]))
+    mixed: np.ndarray = np.where(np.isfinite(light), (f4(count) * mean + light) / (f4(count) + brightness), mean)
+    return mixed.astype(f4)
 
 
 @dataclass(frozen=True)
@@ -449,13 +497,12 @@ def _check_fit(fit: _Fit, settings: PhaseSettings, exposure: float) -> None:
 
 def _unwrap(
     stack: _Aligned, fit: _Fit, minimum_modulation: float, prediction: xr.Dataset | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the absolute phase at time 0, the mean of all frames, and where both are valid."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the absolute phase at time 0, and where it is valid."""
     layout, shape = stack.layout, fit.condition.shape
     deviation, (_, modulation, wrapped, drift, *_) = fit.deviation.astype(f4), fit.maps
     sigma = fit.sigma
     sigma_drift = deviation * np.sqrt(np.maximum(fit.maps[5], 0)) / np.maximum(modulation, f4(1e-6))
-    texture = _mean_with_even_drift(fit) * f4(layout.counts[-1])
     with np.errstate(invalid="ignore"):
         good = fit.usable & (modulation > max(minimum_modulation, 0)) & (CONFIDENCE * sigma < 1)
     phases, variances = [], []
@@ -472,7 +519,6 @@ def _unwrap(
         )
         maps = np.empty((4, *shape), f4)
         fit_known_drift(stack.frames[where], tables, maps)
-        texture += maps[0] * f4(layout.counts[pitch])
         path = drift * f4(middle) + spread(fit.curvature, shape).astype(f4) * f4(middle**2 / 2)
         own = deviation * np.sqrt(np.maximum(maps[3], 0)) / np.maximum(maps[1], f4(1e-6))
         uncertain = spread(fit.sigma_curvature, shape).astype(f4) * f4(middle**2 / 2)
@@ -490,7 +536,7 @@ def _unwrap(
     find_orders(np.stack(phases), np.stack(variances), np.array(ratios), good, phase)
     if prediction is not None:
         phase = _follow(phase, sigma, good, prediction, absolute=len(pitches) > 1)
-    return phase, texture / f4(sum(layout.counts)), good
+    return phase, good
 
 
 def _mean_with_even_drift(fit: _Fit) -> np.ndarray:
@@ -547,7 +593,7 @@ def _dataset(
                 fit.maps[1].copy(),
                 {"units": "grey level", "long_name": "modulation of the finest fringes"},
             ),
-            "texture": (image, texture, {"units": "grey level", "long_name": "mean of the fringe frames"}),
+            "texture": (image, texture, {"units": "grey level", "long_name": "surface without fringes, at time 0"}),
             "valid": (image, good, {"long_name": "where the phase is measured"}),
         },
         coords=pixels(good.shape),

@@ -74,8 +74,8 @@ def errors_of(rig: VirtualRig, rate: float) -> dict[str, float]:
 
 
 def test_a_specimen_that_is_pulled_at_a_constant_rate_is_measured() -> None:
-    """w is as exact as at rest; u and v have 1.5 times its error, which docs/moving.md states as a limit."""
+    """It is nearly as exact as at rest: u, v and w have 1.17, 1.09 and 1.06 times its error."""
     rig = VirtualRig.from_preset("plate", size="tiny")
     moving, resting = errors_of(rig, 2e-4), errors_of(rig, 0.0)
     assert moving["w"] < 1.15 * resting["w"], (moving, resting)
-    assert max(moving[name] / resting[name] for name in ("u", "v")) < 1.7, (moving, resting)
+    assert max(moving[name] / resting[name] for name in ("u", "v")) < 1.3, (moving, resting)
