@@ -84,7 +84,7 @@ def create_store(target: Path) -> Store:
     try:
         return NetcdfStore(target) if target.suffix == ".nc" else ZarrStore(target)
     except OSError as error:
-        raise DatasetError(f"{target}: cannot be written: {error}") from error
+        raise DatasetError(f"{target}: cannot be written: {cause_of(error)}; choose another output") from error
 
 
 def check_suffix(target: Path) -> None:
