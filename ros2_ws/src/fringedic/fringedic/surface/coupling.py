@@ -154,6 +154,9 @@ def couple(
         for sigma, variance in zip(result[6:9], added[:3], strict=True):
             np.sqrt(sigma**2 + variance, out=sigma)
         result[9:12] += added[3:]
+    # Compilers differ in the sign of NaN that results from others; a replay gives the same bits with each Python.
+    uncertainties = result[6:12]
+    np.copyto(uncertainties, np.nan, where=np.isnan(uncertainties))
     fields = {
         name: (("row", "column"), values, {"units": units, "long_name": long_name})
         for (name, (units, long_name)), values in zip(FIELDS.items(), result, strict=True)

@@ -282,6 +282,24 @@ def test_nothing_measured_gives_nothing(case: Case) -> None:
         assert bool(local.u_t.isnull().all())
 
 
+def test_uncertainties_that_are_not_known_are_the_same_bits_with_every_compiler() -> None:
+    """The sign of NaN that an operation returns is the compiler's: replays under another Python had other bits."""
+    column, row = np.meshgrid(np.arange(40.0), np.arange(30.0))
+
+    def plane(z: float) -> xr.Dataset:
+        x, y = 1e-4 * (column - 20) * (1 - z / 0.5), -1e-4 * (row - 15) * (1 - z / 0.5)
+        fields = {"x": x, "y": y, "z": z + 0 * x, "noise_z": 1e-6 + 0 * x}
+        arrays = {name: (("row", "column"), values) for name, values in fields.items()}
+        return xr.Dataset(arrays, attrs={"camera_distance": 0.5})
+
+    unknown = {"displacement_x": 0.0, "displacement_y": 0.0, "sigma_x": np.inf, "sigma_y": np.inf}
+    still = xr.Dataset({name: (("row", "column"), value + 0 * column) for name, value in unknown.items()})
+    cloud = couple(plane(0.0), plane(1e-3), still)
+    unmeasured = np.concatenate([each.values[np.isnan(each.values)] for each in cloud.data_vars.values()])
+    assert unmeasured.size
+    assert not np.signbit(unmeasured).any()
+
+
 def test_bad_input_is_refused(case: Case) -> None:
     shape, after, displacement = case.measured(0, 0)
     with pytest.raises(ImageError, match="same pixels"):
