@@ -2,6 +2,7 @@
 # Builds everything that `make demo` and `make test` need, inside the checkout, without root: the Python environment from
 # the lock files, ROS 2 from PyPI (unless a ROS 2 installation is sourced), the workspace, the compiled kernels.
 # ROS=kilted selects another distribution from PyPI than Jazzy, which is supported longest of those that PyPI has.
+# KERNELS=no leaves the kernels to be compiled when they are used; those that are there are kept.
 # What has not changed since the last time is not done again. Details go to setup.log.
 set -euo pipefail
 
@@ -215,7 +216,7 @@ compile_library memory private_memory
 # The kernels are compiled beside the workspace, which they do not need. The load that this makes is no reason for make to
 # wait (colcon's own -l option).
 kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
-if ! current kernels "$kernels"; then
+if [ "${KERNELS:-yes}" != no ] && ! current kernels "$kernels"; then
     # Numba compares a kernel's own file only, not those of the functions that it calls. An interrupted set-up ends the
     # compiling processes, which form a session.
     rm -f "$stamps/kernels" # an interrupted set-up leaves none
