@@ -189,30 +189,31 @@ def test_report_prints_on_a4_with_the_certificate_on_its_own_page(page: Path, tm
     pages = sorted(tmp_path.glob("page-*.png"))
     assert len(pages) == len(others) + 2 <= 14
     for each in pages:
-        assert np.asarray(Image.open(each).convert("L")).min() < 128, f"{each.name} is blank"
+        inked = np.asarray(Image.open(each).convert("L")) < 240
+        assert inked.mean() > 0.005, f"{each.name} is blank"
     heads = [each for each in others if "Analysis" in each and "value" in each]
     assert len(heads) >= 1, "a table that goes on has its heading again"
 
 
 @pytest.mark.browser
-def test_nothing_leaves_the_page_at_700_px_and_on_paper(page: Path, large: Path, tmp_path: Path) -> None:
+def test_nothing_leaves_the_page_at_700_px_and_on_paper(large: Path, tmp_path: Path) -> None:
     """A chart, a picture or a table that is wider than its page would be cut on paper."""
     chromium = shutil.which("chromium")
     if chromium is None:
         pytest.skip("chromium is not installed: sudo apt-get install chromium")
-    wide = write_report(
-        large, tmp_path / "wide.html", gauges={f"gauge {k}": ((20, 10), (20, 40 + k)) for k in range(3)}
-    )
+    gauges = {f"gauge {k}": ((20, 10), (20, 40 + k)) for k in range(3)}
+    wide = write_report(large, tmp_path / "wide.html", gauges=gauges)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        for file in (page, wide):
-            for width, medium in ((700, "screen"), (320, "screen"), (PAPER, "print")):
-                shown = browser.new_page(viewport={"width": width, "height": 1000})
-                shown.emulate_media(media=medium)
-                shown.goto(file.as_uri())
-                shown.wait_for_selector(".js-plotly-plot .main-svg", state="attached")
-                assert shown.evaluate(BEYOND, width) == [], f"{width} px, {medium}"
-                shown.close()
+        for width, medium in ((700, "screen"), (320, "screen"), (PAPER, "print")):
+            shown = browser.new_page(viewport={"width": width, "height": 1000})
+            shown.emulate_media(media=medium)
+            shown.goto(wide.as_uri())
+            shown.wait_for_selector(".js-plotly-plot .main-svg", state="attached")
+            assert shown.evaluate(BEYOND, width) == [], f"{width} px, {medium}"
+            if medium == "print":  # on paper nothing scrolls
+                assert shown.evaluate(BEYOND.replace(".wide, ", ""), width) == []
+            shown.close()
         browser.close()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -223,14 +222,13 @@ class Evaluations:
 
     def _command(self, words: Sequence[str], longest_s: float | None) -> None:
         """Run the command in a process, and raise its sentence when it fails."""
-        command = [sys.executable, "-m", "fringedic", *words]
+        command = ["nice", "-n", str(_NICE), sys.executable, "-m", "fringedic", *words]
         with subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
-            preexec_fn=_yield_processor,
         ) as process:
             self._running = process
             try:
@@ -243,7 +241,3 @@ class Evaluations:
         if process.returncode:
             lines = [line for line in said.splitlines() if line.strip()]
             raise OperatorError(lines[-1] if lines else f"the command ended with exit code {process.returncode}")
-
-
-def _yield_processor() -> None:
-    os.nice(_NICE)
