@@ -21,6 +21,7 @@ NODES = {
     "coupling": ("coupling_node", []),
     "experiment": ("experiment_node", []),
     "recorder": ("recorder_node", []),
+    "signals": ("load_frame_node", []),
     "stage": ("load_frame_node", []),
     "live_view": ("camera_node", []),
     "extensometer": ("dic_node", ["-p", "first_px:=[160, 240]", "-p", "second_px:=[480, 240]"]),

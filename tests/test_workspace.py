@@ -36,7 +36,7 @@ EXECUTABLES = {
     "experiment_node": ["experiment"],
     "fringe_projector_node": ["projector"],
     "fringedic_bringup": ["fringedic", "processing"],
-    "load_frame_node": ["load_frame", "stage"],
+    "load_frame_node": ["load_frame", "signals", "stage"],
     "operator_node": ["operator"],
     "phase_node": ["phase"],
     "player_node": ["player"],

@@ -234,13 +234,17 @@ class DriftLimit(NamedTuple):
 
 
 def drift_limits(parameters: ExperimentNodeSettings) -> list[DriftLimit]:
-    """Return the limits that the parameters set."""
+    """Return the limits that the parameters set; a required signal has to be known, whatever its drift."""
     force, position = parameters.load_drift_n, parameters.position_drift_um
     limits = (
         DriftLimit(FORCE.name, force, "force", "set load_drift_n to 0"),
         DriftLimit(POSITION.name, position, "crosshead position", "set position_drift_um to 0", "µm", 1e6),
     )
-    return [limit for limit in limits if limit.largest]
+    required = [
+        DriftLimit(name, math.inf, f"signal '{name}'", f"write required: false to signals.{name}")
+        for name in parameters.required_signals
+    ]
+    return [limit for limit in limits if limit.largest] + required
 
 
 def _collect(step: RunningStep, sample: LoadState) -> None:

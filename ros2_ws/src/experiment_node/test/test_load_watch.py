@@ -15,8 +15,10 @@ from experiment_node.load_watch import check_drift, drift_limits
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.signals import Channel
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
+from fringedic_ros.signals import signal_message
 from fringedic_ros.stamps import to_msg
 
 START, END = 10.0, 13.0  # [s] of the exposures
@@ -89,3 +91,20 @@ def test_one_sample_during_short_exposures_is_compared_with_its_neighbours() -> 
     step.exposures[1] = (round(1e9 * START) + 1, round(1e9 * (START + 0.2)))
     with pytest.raises(StepFailure, match=r"the force drifted by \+20 N"):
         check(step, FORCE)
+
+
+@pytest.mark.parametrize("gap", [0.5, 1.5])
+def test_a_required_signal_has_to_cover_the_exposures_whatever_its_drift(gap: float) -> None:
+    step, required = measured_step(TIMES, 100.0), ExperimentNodeSettings(required_signals=["grip"])
+    with pytest.raises(StepFailure, match="the drift of the signal 'grip' is unknown"):
+        check(step, required)
+    times = TIMES[(TIMES < START + 0.5) | (START + 0.5 + gap < TIMES)]
+    stamps = [round(1e9 * time) for time in times]
+    values, sigmas = np.linspace(290, 390, times.size), np.full(times.size, 0.5)
+    step.signals.add("signals", signal_message(Channel("grip", "temperature", "K"), stamps, values, sigmas))
+    if gap < 1:
+        check(step, required)
+        return
+    with pytest.raises(StepFailure, match=r"or write required: false to signals\.grip") as failure:
+        check(step, required)
+    assert failure.value.code == MeasureStep.Result.LOAD_DRIFT

@@ -11,6 +11,8 @@ import yaml
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic.rig.model import RigModel
+from fringedic.settings.parameters import from_parameters
+from fringedic.settings.signals import SignalsNodeSettings, signal_settings
 from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, projecting_graph, rig_graph
 from fringedic_bringup.launch.launch_arguments import LaunchArguments, launched_rig
 
@@ -48,6 +50,27 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     assert "hold_required" not in nodes["load_frame"], "a parameter of the experiment node"
     again = {node.name: node.changes_at_restart for node in graph.nodes if node.changes_at_restart}
     assert again == {"load_frame": {"machine_required": False}}, "a machine that does not answer does not end it again"
+
+
+def test_signals_have_a_node_and_a_required_one_is_one_of_the_experiment(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    declared = """
+signals:
+  grip: {topic: /thermo/temperature, field: temperature, unit: degC, required: true}
+  meter: {source: instrument, file: meter.yaml}
+"""
+    path.write_text(REAL_RIG + declared)
+    rig = load_rig_file(path)
+    nodes = {node.name: dict(node.parameters) for node in rig_graph(rig, path, tmp_path / "out").nodes}
+    assert nodes["experiment"]["required_signals"] == ["grip"]
+    settings = from_parameters(SignalsNodeSettings, nodes["signals"])
+    assert settings.signals["meter"]["file"] == str(tmp_path / "meter.yaml")
+    assert signal_settings(settings.signals) == rig.signals
+    calibrating = {node.name: node.parameters for node in calibration_graph(rig, tmp_path / "out").nodes}
+    assert "signals" not in calibrating
+    assert "required_signals" not in calibrating["experiment"]
+    path.write_text(REAL_RIG)
+    assert "signals" not in [node.name for node in rig_graph(load_rig_file(path), path, tmp_path / "out").nodes]
 
 
 @pytest.mark.parametrize(

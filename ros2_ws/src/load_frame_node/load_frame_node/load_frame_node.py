@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -15,12 +16,13 @@ from std_srvs.srv import Trigger
 from fringedic.errors import ClockJumpError, MachineError
 from fringedic.frames.clocks import DeviceClock
 from fringedic.settings.load_frame import LoadFrameNodeSettings
-from fringedic_msgs.msg import ClockDrift, LoadState
+from fringedic_msgs.msg import ClockDrift, LoadState, Signal
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.records import clock_message
 from fringedic_ros.rig_node import LOAD_FRAME, frame_id
+from fringedic_ros.signals import signal_message
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.work import Worker
 from load_frame_node.crosshead import Crosshead
@@ -51,6 +53,7 @@ class LoadFrameNode(HardwareNode[LoadFrameNodeSettings]):
         self._states = self.create_publisher(LoadState, "load_frame/state", SAMPLES)
         self._wrenches = self.create_publisher(WrenchStamped, "load_frame/wrench", SAMPLES)
         self._joints = self.create_publisher(JointState, "load_frame/joint_states", SAMPLES)
+        self._signals = self.create_publisher(Signal, "signals", SAMPLES)
         self.create_service(Trigger, "load_frame/hold", self._hold)
         self._moves = MoveServer(self, self._crosshead)
 
@@ -128,7 +131,7 @@ class LoadFrameNode(HardwareNode[LoadFrameNodeSettings]):
     # in the thread of the publisher
 
     def _publish(self, sample: Sample) -> None:
-        """Publish a sample on its three topics, and once a second the drift of the machine's clock."""
+        """Publish a sample on its topics, and once a second the drift of the machine's clock."""
         state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position, reason=sample.unknown)
         state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), self._frame
         wrench = WrenchStamped(header=state.header)
@@ -137,6 +140,9 @@ class LoadFrameNode(HardwareNode[LoadFrameNodeSettings]):
         self._states.publish(state)
         self._wrenches.publish(wrench)
         self._joints.publish(joint)
+        for each in sample.signals:
+            values, sigmas = np.array([each.value]), np.array([each.sigma])
+            self._signals.publish(signal_message(each.channel, [each.stamp], values, sigmas))
         self._compare_clocks(sample)
 
     def _compare_clocks(self, sample: Sample) -> None:

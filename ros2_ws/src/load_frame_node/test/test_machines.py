@@ -128,6 +128,23 @@ def until(connected: DescribedMachine[Any], mode: LoadMode) -> Sample:
     return sample
 
 
+@pytest.mark.parametrize(
+    ("kind", "place"), [("modbus", {"register": 0}), ("scpi", {"query": "MEAS:FORC?", "scale": 1e3})]
+)
+def test_further_signals_are_read_with_the_sample(kind: str, place: dict[str, Any], tmp_path: Path) -> None:
+    """The signal is the force once more, in newtons, as the machine file describes it."""
+    signals = {"load_2": {"unit": "N", "sigma": 2.0, "positive": "tension", **place}}
+    with machine(kind, tmp_path, signals=signals) as (connected, _, _):
+        connected.move_to(0.2 * MM, 1.0 * MM)
+        sample = until(connected, LoadMode.HOLD)
+        [load] = sample.signals
+        assert load.channel == ("load_2", "force", "N", "tension", "testing machine")
+        assert (load.stamp, load.sigma) == (sample.stamp_ns, 2.0)
+        assert load.value == pytest.approx(sample.force, abs=5.0)
+        assert abs(load.value) > 100
+        assert [each.entry for each in connected.inspect()][-1] == "signals.load_2"
+
+
 @pytest.mark.parametrize("kind", ["modbus", "scpi"])
 def test_moves_and_holds_with_samples_in_si(kind: str, tmp_path: Path) -> None:
     """The virtual plate's grips are 2000 N/mm stiff; units differ from machine to machine, SI is what comes out."""

@@ -35,6 +35,8 @@ from fringedic.settings.devices import ImageDeviceSettings
 from fringedic.settings.experiment import SequenceSettings
 from fringedic.settings.load_frame import LoadFrame, MachineSettings
 from fringedic.settings.projector import Projector
+from fringedic.settings.signals import Signals
+from fringedic.signals import FORCE, POSITION
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
@@ -86,6 +88,7 @@ class RigFile(Section):
         ReferencePlaneSection(), description="The plane that calibrates the rig."
     )
     load_frame: LoadFrame | None = Field(None, description="The testing machine.")
+    signals: Signals = Field({}, description="Further signals by their names: temperatures, a second load cell, ...")
     extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
     nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
     noise_floor_file: FilePath | None = Field(
@@ -125,6 +128,16 @@ class RigFile(Section):
         ]
         if users and self.virtual_rig is None:
             raise ValueError(f"{users[0]} needs the section virtual_rig, for example virtual_rig: {{preset: plate}}")
+        return self
+
+    @model_validator(mode="after")
+    def _signals_have_names_of_their_own(self) -> RigFile:
+        taken = {FORCE.name, POSITION.name} & self.signals.keys()
+        if taken and self.load_frame is not None:
+            raise ValueError(
+                f"signals: {min(taken)} is the name of a signal of the load frame; give this one another name, such as "
+                f"{min(taken)}_2"
+            )
         return self
 
     @model_validator(mode="after")

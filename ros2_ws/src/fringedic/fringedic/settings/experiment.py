@@ -12,6 +12,7 @@ from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, step_sequence
 from fringedic.settings.base import MILLI, Settings
 from fringedic.settings.load_frame import HoldSettings
+from fringedic.settings.signals import RequiredSignals
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
 FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
@@ -101,7 +102,7 @@ class ProcessingSettings(Settings):
     coupling: CouplingParameters = Field(CouplingParameters(), description="Parameters of the coupling node.")
 
 
-class ExperimentNodeSettings(SequenceSettings, HoldSettings):
+class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
     """Settings of the experiment node."""
 
     experiment: str = Field("", description="Name of the first experiment; empty: the time of its start.")

@@ -22,6 +22,8 @@ from .messages import signals_of as signals_of
 from .samples import SampleSummary as SampleSummary
 from .samples import samples_over as samples_over
 from .samples import summarise as summarise
+from .scaling import Scaling as Scaling
+from .scaling import Uncertain as Uncertain
 from .signal import FORCE as FORCE
 from .signal import POSITION as POSITION
 from .signal import Channel as Channel

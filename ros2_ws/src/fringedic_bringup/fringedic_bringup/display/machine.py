@@ -115,6 +115,9 @@ def _meaning(answer: Answer, machine: DescribedMachine[Any]) -> str:
         return "-"
     if answer.entry == "status":
         return f"{machine.description.status.mode(answer.value).name}"
+    signal = machine.description.signals.get(answer.entry.partition(".")[2])
+    if signal is not None:
+        return f"{float(answer.value):.6g} {signal.channel(answer.entry, '').unit}"
     factor, unit, decimals = _UNITS[answer.entry]
     return f"{factor * float(answer.value):.{decimals}f} {unit}"
 

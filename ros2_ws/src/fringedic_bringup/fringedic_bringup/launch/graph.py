@@ -26,6 +26,7 @@ from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings, M
 from fringedic.settings.parameters import default_parameters, to_parameters
 from fringedic.settings.projector import ProjectorNodeSettings
 from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
+from fringedic.settings.signals import SignalsNodeSettings
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
@@ -147,6 +148,8 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         # the machine, which may be moving, is requested to hold as soon as it answers
         machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
         nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
+    if rig.signals:
+        nodes.append(_node("signals", "load_frame_node", SignalsNodeSettings(signals=_declared(rig))))
     if rig.extensometer is not None:
         nodes.append(_extensometer(rig.extensometer))
     experiment_node = _experiment(
@@ -158,6 +161,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         calibration_file=calibration_file,
         calibration_folder=str((folder / "calibrations").absolute()),
         record_only=not rig.recording.process,
+        required_signals=[name for name, each in rig.signals.items() if each.required],
         later_parameters=ProcessingSettings() if rig.recording.process else processing,
     )
     nodes += [
@@ -373,6 +377,11 @@ def _extensometer(section: ExtensometerSection) -> NodeEntry:
     shared = section.model_dump(include=set(ExtensometerSettings.model_fields))
     settings = ExtensometerNodeSettings(frame_timeout_s=max(FRAMES_MISSED / section.rate_hz, 0.1), **shared)
     return _node("extensometer", "dic_node", settings)
+
+
+def _declared(rig: RigFile) -> dict[str, Any]:
+    """Return the signals of a rig as their node takes them."""
+    return {name: each.model_dump(mode="json") for name, each in rig.signals.items()}
 
 
 def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:

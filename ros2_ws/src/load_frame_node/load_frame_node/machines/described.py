@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from fringedic.errors import CrossheadRangeError, MachineError
 from fringedic.frames.clocks import wall_minus_monotonic_ns
-from load_frame_node.machines.description import Bounds, MachineSection
+from fringedic.signals import Sample as SignalSample
+from load_frame_node.machines.description import SIGNAL, Bounds, MachineSection
 from load_frame_node.machines.machine import Link, LoadMode, Motion, Sample
 
 DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
@@ -20,14 +22,26 @@ _LATEST_TIME_S = 9e9  # 285 years: later times exceed 64 bits of nanoseconds
 _STANDSTILL_S = 1.0  # a clock that has not advanced for this time means that the machine repeats an old sample
 
 
+_NO_NUMBER = 9.9e37  # of SCPI: 9.91E37 is not a number, 9.9E37 an overload
+
+
+def _measured(value: float) -> float:
+    """Return a value of a further signal, NaN for one that is no measurement."""
+    return value if abs(value) < _NO_NUMBER else math.nan
+
+
 class Reading(NamedTuple):
-    """One reading: monotonic time [ns], force [N], position [m]; status and time [s] when the machine reports them."""
+    """One reading: monotonic time [ns], force [N], position [m]; status and time [s] when the machine reports them.
+
+    Further signals are in their SI units, by their names.
+    """
 
     acquired_ns: int
     force: float
     position: float
     status: int | str | None
     time: float | None = None
+    signals: Mapping[str, float] = MappingProxyType({})
 
 
 class Answer(NamedTuple):
@@ -106,7 +120,11 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
             if mode is LoadMode.UNKNOWN:
                 unknown.append(f"{self.description.name}: {self.description.status.unlisted(read.status)}")
         stamp_ns = read.acquired_ns + wall_minus_monotonic_ns()
-        return Sample(stamp_ns, mode, force, position, device_ns, unknown="; ".join(unknown))
+        signals = tuple(
+            SignalSample(each.channel(name, self.description.name), stamp_ns, read.signals[name], each.sigma_si)
+            for name, each in self.description.signals.items()
+        )
+        return Sample(stamp_ns, mode, force, position, device_ns, unknown="; ".join(unknown), signals=signals)
 
     def _known(self, what: str, value: float, bounds: Bounds, unknown: list[str]) -> float:
         """Return a value that the machine can show; otherwise NaN, and append the reason to a list.
@@ -217,7 +235,19 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
                 raise answer.error
             values[answer.entry] = answer.value
         acquired = (before + time.monotonic_ns()) // 2
-        return Reading(acquired, values["force"], values["position"], values.get("status"), values.get("time"))
+        signals = {name: _measured(values[f"{SIGNAL}{name}"]) for name in self.description.signals}
+        force, position = values.get("force", math.nan), values.get("position", math.nan)
+        return Reading(acquired, force, position, values.get("status"), values.get("time"), signals)
+
+    def read_signals(self) -> Reading:
+        """Return a reading of an instrument, which has neither force nor position.
+
+        Raises
+        ------
+        MachineError
+            It does not answer, or an answer does not fit the file.
+        """
+        return self._link.ask("signals", self.read)
 
     def single_answers(self) -> Iterator[Answer]:
         """Ask for each entry by itself, so that one that the machine refuses does not hide the others."""

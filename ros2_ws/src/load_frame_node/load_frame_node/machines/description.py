@@ -11,9 +11,11 @@ hold: {coil: 1}
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args
 
 import yaml
 from pydantic import (
@@ -22,12 +24,16 @@ from pydantic import (
     ConfigDict,
     Field,
     StrictStr,
+    StringConstraints,
     TypeAdapter,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
 from fringedic.errors import ConfigurationError
+from fringedic.signals import Channel
+from fringedic.signals.units import Unit, find_unit, known_units
 from fringedic.wording.yaml_text import load_yaml
 from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode
 
@@ -37,6 +43,7 @@ SpeedUnit = Literal["um/s", "mm/s", "mm/min", "m/s"]
 TimeUnit = Literal["us", "ms", "s"]
 
 _SI = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "um": 1e-6, "mm": 1e-3, "m": 1.0}
+DescriptionT = TypeVar("DescriptionT")
 _SI |= {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _SI |= {"um/s": 1e-6, "mm/s": 1e-3, "mm/min": 1e-3 / 60, "m/s": 1.0}
 
@@ -81,6 +88,48 @@ class Scaled(Section):
         return get_args(type(self).model_fields["unit"].annotation)
 
 
+class ScaledSignal(Scaled):
+    """A number of a further signal and its meaning, in any known unit."""
+
+    sigma: float | None = Field(None, ge=0, description="Standard uncertainty in the unit; by default not known.")
+    positive: str = Field("", description="Direction or state of positive values.")
+
+    @field_validator("unit")
+    @classmethod
+    def _unit_is_known(cls, unit: str) -> str:
+        if find_unit(unit) is None:
+            raise ValueError(f"the unit '{unit}' is not known; write one such as {known_units()}")
+        return unit
+
+    @property
+    def _unit(self) -> Unit:
+        unit = find_unit(self.unit)
+        assert unit is not None, "checked above"
+        return unit
+
+    def si(self, number: float, unit: str | None = None) -> float:
+        """Return the SI value of a number received from the machine; a unit that it has named is that of the file."""
+        assert unit in (None, self.unit), "others are refused before"
+        return self._unit.factor * (self.scale * number + self.offset) + self._unit.zero
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit that a reply may name."""
+        return (self.unit,)
+
+    @property
+    def sigma_si(self) -> float:
+        """Standard uncertainty in the SI unit, NaN if it is not known."""
+        return math.nan if self.sigma is None else self._unit.factor * self.sigma
+
+    def channel(self, name: str, source: str) -> Channel:
+        """Return the channel of the signal."""
+        return Channel(name, self._unit.quantity, self._unit.si, self.positive, source)
+
+
+SIGNAL = "signals."
+"""Begin of the name of the entry of a further signal."""
+SignalNames = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 BitNumbers = list[Annotated[int, Field(ge=0, le=63)]]
 
 
@@ -216,9 +265,12 @@ class MachineSection(Section):
     move: Any = None
     hold: Any = None
 
+    signals: Mapping[str, Any] = {}
+
     def entries(self) -> list[tuple[str, Any]]:
         """Return name and section of each value that is read, in the order of reading."""
-        named = ((name, getattr(self, name)) for name in ("force", "position", "status", "time"))
+        named = [(name, getattr(self, name)) for name in ("force", "position", "status", "time")]
+        named += [(f"{SIGNAL}{name}", entry) for name, entry in self.signals.items()]
         return [(name, entry) for name, entry in named if entry is not None]
 
 
@@ -278,6 +330,10 @@ class Switch(Section):
         return self
 
 
+class SignalRegister(Register, ScaledSignal):
+    """Register of a further signal."""
+
+
 class ModbusMove(Section):
     """Registers that start a move."""
 
@@ -299,6 +355,7 @@ class ModbusDescription(MachineSection):
     position: LengthRegister
     time: TimeRegister | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusRegister | None = None
+    signals: dict[SignalNames, SignalRegister] = Field({}, description="Further signals by their names.")
     move: ModbusMove | None = None
     hold: Switch | None = None
 
@@ -309,7 +366,7 @@ class ModbusDescription(MachineSection):
 
     @model_validator(mode="after")
     def _slowest_motion_changes_the_position(self) -> ModbusDescription:
-        if self.status is None and not self.position.type.startswith("float"):
+        if self.status is None and self.position is not None and not self.position.type.startswith("float"):
             count, motion = 1e3 * abs(self.position.scale) * _SI[self.position.unit], self.motion
             if count > motion.slowest_mm_per_s * motion.span_s:
                 raise ValueError(
@@ -358,6 +415,10 @@ class LengthQuery(NumberQuery):
     """Query of the position."""
 
     unit: LengthUnit = "mm"
+
+
+class SignalQuery(NumberQuery, ScaledSignal):
+    """Query of a further signal."""
 
 
 class TimeQuery(NumberQuery):
@@ -436,6 +497,7 @@ class ScpiDescription(MachineSection):
     position: LengthQuery
     time: TimeQuery | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusQuery | None = None
+    signals: dict[SignalNames, SignalQuery] = Field({}, description="Further signals by their names.")
     move: ScpiMove | None = None
     hold: list[str] = Field([], description="Commands that request a hold.")
 
@@ -481,6 +543,39 @@ _DESCRIPTION: TypeAdapter[MachineDescription] = TypeAdapter(
 )
 
 
+class ModbusInstrument(ModbusDescription):
+    """An instrument with Modbus TCP, which has signals and is no testing machine."""
+
+    force: None = None  # type: ignore[assignment]
+    position: None = None  # type: ignore[assignment]
+    signals: dict[SignalNames, SignalRegister] = Field(min_length=1)
+
+
+class ScpiInstrument(ScpiDescription):
+    """An instrument with text commands (SCPI), which has signals and is no testing machine."""
+
+    force: None = None  # type: ignore[assignment]
+    position: None = None  # type: ignore[assignment]
+    signals: dict[SignalNames, SignalQuery] = Field(min_length=1)
+
+
+InstrumentDescription = ModbusInstrument | ScpiInstrument
+_INSTRUMENT: TypeAdapter[InstrumentDescription] = TypeAdapter(
+    Annotated[InstrumentDescription, Field(discriminator="protocol")]
+)
+
+
+def load_instrument(path: str | os.PathLike[str]) -> InstrumentDescription:
+    """Read and check the file of an instrument: a machine file with signals, without force and position.
+
+    Raises
+    ------
+    ConfigurationError
+        As of `load_machine`.
+    """
+    return _load(path, _INSTRUMENT)
+
+
 def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
     """Read and check a machine file.
 
@@ -489,6 +584,10 @@ def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
     ConfigurationError
         The file cannot be read, or a key is unknown, missing or out of range; the message names file and key.
     """
+    return _load(path, _DESCRIPTION)
+
+
+def _load(path: str | os.PathLike[str], kinds: TypeAdapter[DescriptionT]) -> DescriptionT:
     try:
         content = load_yaml(Path(path).read_text("utf-8"))
     except OSError as error:
@@ -496,7 +595,7 @@ def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     try:
-        return _DESCRIPTION.validate_python(content)
+        return kinds.validate_python(content)
     except ValidationError as error:
         problems = "; ".join(
             f"{'.'.join(map(str, each['loc'][1:])) or 'protocol'}: {each['msg'].removeprefix('Value error, ')}"

@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple, Protocol, TypeVar
 
 from fringedic.errors import MachineError, MachineGoneError
+from fringedic.signals import Sample as SignalSample
 
 Answer = TypeVar("Answer")
 
@@ -46,6 +47,8 @@ class Sample(NamedTuple):
         Start of the acquisition on the monotonic clock, which is never set [s]; the crosshead adds it.
     unknown
         Why mode, force or position is unknown, with the reply of the machine; empty when they are known.
+    signals
+        Samples of further signals of the machine.
     """
 
     stamp_ns: int
@@ -55,6 +58,7 @@ class Sample(NamedTuple):
     device_ns: int | None = None
     begun_s: float = -math.inf
     unknown: str = ""
+    signals: tuple[SignalSample, ...] = ()
 
     @classmethod
     def without_answer(cls, begun_s: float, reason: str = "") -> Sample:

@@ -18,6 +18,7 @@ from load_frame_node.machines.description import (
     LengthRegister,
     ModbusDescription,
     Register,
+    SignalRegister,
     SpeedRegister,
     StatusRegister,
     Switch,
@@ -30,7 +31,7 @@ _LARGEST_BLOCK = 125  # registers that one Modbus request may read
 _SENSIBLE = (1e-9, 1e9)  # amounts of a floating-point number other than 0; wrong orders give most often others
 
 Order = Literal["big", "little"]
-ReadRegister = ForceRegister | LengthRegister | TimeRegister | StatusRegister
+ReadRegister = ForceRegister | LengthRegister | TimeRegister | StatusRegister | SignalRegister
 
 
 class ModbusMachine(DescribedMachine[ModbusDescription]):

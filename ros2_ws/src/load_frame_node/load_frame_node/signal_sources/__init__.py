@@ -1,0 +1,1 @@
+"""Sources of further signals of a rig: each is read in a thread of its own."""

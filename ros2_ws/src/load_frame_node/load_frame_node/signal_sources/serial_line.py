@@ -1,0 +1,104 @@
+"""A serial line that prints numbers: Arduino, HX711, balances, thermometers."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import serial
+
+from fringedic.errors import MachineError, MachineGoneError
+from fringedic.settings.signals import SerialSignal
+from fringedic.wording.causes import cause_of
+from load_frame_node.signal_sources.source import Reading
+
+_WAIT_S = 0.05
+_LONGEST_LINE = 4096  # byte
+_ANY_SEPARATOR = re.compile(r"[\s;]+")
+_NUMBER = re.compile(r"[-+]?\s*(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_BIT_PER_BYTE = 10  # of a line with 8 data bits, one start bit and one stop bit
+
+
+class SerialSource:
+    """Readings from the lines of a serial device; one that was lost is opened again.
+
+    The time of a line is that of its first byte at this computer: the arrival of the bytes, less the time that those
+    after it took.
+    """
+
+    def __init__(self, settings: SerialSignal, _node: Any = None) -> None:
+        self._settings = settings
+        self._port: serial.Serial | None = None
+        self._buffer = b""
+        self._is_first = True
+
+    def read(self) -> Sequence[Reading]:
+        """Return the readings of the lines that are complete.
+
+        Raises
+        ------
+        MachineError
+            The device cannot be opened or was lost, or a line has no such number.
+        """
+        try:
+            if self._port is None:
+                self._port = serial.Serial(
+                    self._settings.device, self._settings.baud_rate, timeout=_WAIT_S, exclusive=True
+                )
+                self._port.reset_input_buffer()
+                self._buffer, self._is_first = b"", True
+            data = self._port.read(max(1, self._port.in_waiting))
+        except (OSError, ValueError, TypeError) as error:  # PySerial raises each of them for a lost device
+            self.close()
+            time.sleep(_WAIT_S)
+            raise MachineGoneError(f"{self._settings.device}: {cause_of(error)}") from error
+        now = time.time_ns()
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        if len(self._buffer) > _LONGEST_LINE:
+            self._buffer = b""
+            raise MachineError(
+                f"{self._settings.device}: prints no ends of lines; check baud_rate {self._settings.baud_rate}"
+            )
+        if lines and self._is_first:  # it began before the device was opened
+            self._is_first = False
+            lines = lines[1:]
+        return self._readings(lines, now)
+
+    def close(self) -> None:
+        """Close the device."""
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def _readings(self, lines: Sequence[bytes], now: int) -> list[Reading]:
+        """Return the readings of lines; the last one ended before the bytes that are in the buffer."""
+        of_byte = 1e9 * _BIT_PER_BYTE / self._settings.baud_rate
+        later = len(self._buffer)
+        found: list[Reading] = []
+        for line in reversed(lines):
+            later += len(line) + 1
+            text = line.decode("latin-1").strip()
+            if text:
+                found.append(Reading(now - round(later * of_byte), self._number(text)))
+        return found[::-1]
+
+    def _number(self, text: str) -> float:
+        settings = self._settings
+        parts = text.split(settings.separator) if settings.separator.strip() else _ANY_SEPARATOR.split(text)
+        if settings.column >= len(parts):
+            raise MachineError(
+                f"{settings.device}: the line {text[:40]!r} has {len(parts)} parts, and no column {settings.column} "
+                "counted from 0; correct column or separator"
+            )
+        part = parts[settings.column]
+        match = _NUMBER.search(part.replace(",", ".") if settings.decimal == "," else part)
+        if match is None:
+            if part.strip().lower() in ("nan", "ovf", "inf", "-inf"):
+                return float("nan")
+            raise MachineError(
+                f"{settings.device}: {part[:40]!r} of the line {text[:40]!r} is no number; correct column, separator "
+                "or baud_rate"
+            )
+        return float(match[0].replace(" ", ""))
