@@ -9,15 +9,17 @@ import xarray as xr
 
 from fringedic.datasets.attributes import recorded_metadata
 from fringedic.datasets.confirmation import confirmed_share
+from fringedic.datasets.signals import signal_names
 from fringedic.evaluation.elasticity import ElasticConstants
 from fringedic.evaluation.noise_floor import noise_floors, static_steps
+from fringedic.signals import FORCE, POSITION
 
 _STRAINS = ("e_11", "e_22")
 _ELASTIC = ("modulus", "sigma_modulus", "poisson_ratio", "sigma_poisson_ratio", "nonuniformity")
 _NOISE = ("u", "v", "w", *_STRAINS)
 
 
-def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, Any]:
+def key_figures(dataset: xr.Dataset, constants: ElasticConstants, *, load: str = FORCE.name) -> dict[str, Any]:
     """Return the figures of an experiment in SI units; None for those that are not known.
 
     Parameters
@@ -26,6 +28,8 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         From `fringedic.open_experiment`.
     constants
         Its elastic constants.
+    load
+        Name of the signal with the force.
 
     Returns
     -------
@@ -38,7 +42,9 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         ``axial_strain``, the name of the strain along the load; ``modulus`` [Pa] and ``poisson_ratio`` with
         ``sigma_modulus`` and ``sigma_poisson_ratio``, ``nonuniformity`` and ``elastic_reason``, why they are not known,
         as of `ElasticConstants`; ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation over the points of
-        the steps at rest.
+        the steps at rest;
+        ``mean_temperature_grip``, ``range_temperature_grip``, ...: mean and largest minus smallest value over the steps
+        of each signal besides force and position, in its unit.
     """
     specimen = recorded_metadata(dataset).specimen
     floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
@@ -55,7 +61,7 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
             if not abs(values[place]) <= abs(largest):
                 largest, step = float(values[place]), int(dataset["step"][index])
                 sigma = float(dataset[f"sigma_{name}"].isel(step=index).values[place])
-    forces = dataset["force"].values
+    forces = dataset[load].values
     known = forces[np.isfinite(forces)]
     values = dataset["valid_fraction"].values
     finite = values[np.isfinite(values)]
@@ -77,5 +83,18 @@ def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, A
         "elastic_reason": constants.reason,
         **{name: getattr(constants, name) for name in _ELASTIC},
         **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
+        **_conditions(dataset, {FORCE.name, POSITION.name, load}),
     }
     return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in figures.items()}
+
+
+def _conditions(dataset: xr.Dataset, loads: set[str]) -> dict[str, float]:
+    """Return mean and range over the steps of the signals that are no loads, such as a temperature."""
+    found = {}
+    for name in signal_names(dataset):
+        values = dataset[name].values
+        known = values[np.isfinite(values)]
+        if name not in loads:
+            found[f"mean_{name}"] = float(known.mean()) if known.size else np.nan
+            found[f"range_{name}"] = float(np.ptp(known)) if known.size else np.nan
+    return found

@@ -69,6 +69,7 @@ class Elasticity(Section):
         [-1.0, 1.0], description="Smallest and largest axial strain of the regression; by default all steps."
     )
     force_sigma_newton: float = Field(0.0, ge=0, description="Standard uncertainty of a force [N].")
+    load: str = Field("force", min_length=1, description="Signal with the force, such as that of an attached file.")
 
     @model_validator(mode="after")
     def _require_region(self) -> Self:

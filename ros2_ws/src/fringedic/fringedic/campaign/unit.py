@@ -132,9 +132,9 @@ def _commit(unit: Unit, group: GroupStore, begun: _Begun) -> Receipt:
     store = CampaignStore(unit.store)
     _require_recording(unit)
     with open_group(store, unit.name) as dataset:
-        curve = strain_curve(dataset, unit.elasticity.region)
+        curve = strain_curve(dataset, unit.elasticity.region, load=unit.elasticity.load)
         constants = constants_of(curve, unit.elasticity.strain, unit.elasticity.force_sigma_newton)
-        figures = key_figures(dataset, constants)
+        figures = key_figures(dataset, constants, load=unit.elasticity.load)
     receipt = Receipt(
         name=unit.name,
         key=unit.key,

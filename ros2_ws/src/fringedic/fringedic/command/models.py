@@ -38,7 +38,9 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         list[float] | None,
         typer.Option(help="Force in N of each load step of the mesh, or crosshead position in mm; may be repeated."),
     ] = None,
-    by: Annotated[str, typer.Option(help="What the loads of the mesh are: force or position.")] = "force",
+    by: Annotated[
+        str, typer.Option(help="What the loads of the mesh are: force, position, or another signal.")
+    ] = "force",
     times_are_loads: Annotated[
         bool, typer.Option("--times-are-loads", help="The times of an Exodus file are its loads, in N or m.")
     ] = False,

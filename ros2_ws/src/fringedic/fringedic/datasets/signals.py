@@ -1,7 +1,7 @@
 """Signals in a dataset: which variables they are, their series, and their values at the steps.
 
-A signal ``force`` has the variables ``force`` and ``force_sigma`` over (step), and its samples ``force_series`` and
-``force_series_sigma`` over a time axis of their own, ``force_time``.
+A signal ``force`` has the variables ``force``, ``force_sigma`` and ``force_drift`` over (step), and its samples
+``force_series`` and ``force_series_sigma`` over a time axis of their own, ``force_time``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,11 @@ from fringedic.signals import Channel, Signal
 def sigma_name(name: str) -> str:
     """Return the variable with the standard uncertainty of a signal or its series."""
     return f"{name}_sigma"
+
+
+def drift_name(name: str) -> str:
+    """Return the variable with the change of a signal during the exposures of each step."""
+    return f"{name}_drift"
 
 
 def series_name(name: str) -> str:
@@ -47,6 +52,11 @@ def _is_signal(variable: xr.DataArray) -> bool:
 def knows_sigma(dataset: xr.Dataset, name: str) -> bool:
     """Return whether the standard uncertainty of a signal is known at any step."""
     return sigma_name(name) in dataset and bool(np.isfinite(dataset[sigma_name(name)].values).any())
+
+
+def has_drift(dataset: xr.Dataset, name: str) -> bool:
+    """Return whether the drift of a signal during the exposures is known at any step."""
+    return drift_name(name) in dataset and bool(np.isfinite(dataset[drift_name(name)].values).any())
 
 
 def signal_series(dataset: xr.Dataset, name: str) -> Signal:

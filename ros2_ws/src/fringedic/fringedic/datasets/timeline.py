@@ -194,7 +194,9 @@ class Timeline:
         """Return the value of a signal over the exposures of a step, or at the time of a stack in motion."""
         signal, moving = self._recorded[name], self._moving.get(step)
         value = signal.value_over(*self._exposed[step]) if moving is None else signal.value_at(*moving)
-        return value._replace(mean=self._sign * (value.mean - self._tare)) if name == FORCE.name else value
+        if name != FORCE.name:
+            return value
+        return value._replace(mean=self._sign * (value.mean - self._tare), drift=self._sign * value.drift)
 
     @property
     def exposed(self) -> list[int]:

@@ -15,7 +15,7 @@ import numpy as np
 from fringedic.datasets.checked_store import ChecksummedStore
 from fringedic.datasets.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, TEXT, Layout
 from fringedic.datasets.rows import Row
-from fringedic.datasets.signals import series_name, sigma_name, time_name
+from fringedic.datasets.signals import drift_name, series_name, sigma_name, time_name
 from fringedic.datasets.stores import Store, Variable, create_store, require_room
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
@@ -89,6 +89,8 @@ class DatasetWriter:
             during = f"{channel.name} during the exposures"
             self._variable(name, ("step",), "f8", channel.unit, during, more=about)
             self._variable(sigma_name(name), ("step",), "f8", channel.unit, f"standard uncertainty of {name}")
+            change = f"change of {name} from the begin to the end of the exposures"
+            self._variable(drift_name(name), ("step",), "f8", channel.unit, change)
             if signal.stamps.size:
                 self._write_series(name, signal, about)
 
@@ -137,7 +139,7 @@ class DatasetWriter:
         values |= {name: getattr(row, name) for name in (*self._layout.texts, *self._layout.scalars)}
         for signal, name in self._signals.items():
             value = row.signals.get(signal, SignalValue())
-            values |= {name: value.mean, sigma_name(name): value.sigma}
+            values |= {name: value.mean, sigma_name(name): value.sigma, drift_name(name): value.drift}
         for name, value in values.items():
             self._store.put(name, index, value)
 
@@ -203,4 +205,4 @@ def _sampled(image: np.ndarray, spacing: int) -> np.ndarray:
 
 def _variables_of(signal: str) -> set[str]:
     series = series_name(signal)
-    return {signal, sigma_name(signal), time_name(signal), series, sigma_name(series)}
+    return {signal, sigma_name(signal), drift_name(signal), time_name(signal), series, sigma_name(series)}

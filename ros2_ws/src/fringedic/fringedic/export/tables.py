@@ -15,7 +15,7 @@ import xarray as xr
 
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit, strain_words
-from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
+from fringedic.datasets.signals import drift_name, has_drift, knows_sigma, sigma_name, signal_names
 from fringedic.datasets.stores import save_netcdf, save_zarr
 from fringedic.errors import ExportError
 from fringedic.wording.path_names import path_name
@@ -28,9 +28,10 @@ _SCALAR_UNITS = {"valid_fraction": PeopleUnit("1", "1", 1.0)}  # the others have
 
 
 def _scalars(dataset: xr.Dataset) -> list[str]:
-    """Return the values of each step: the signals, their uncertainty where it is known, and those of the results."""
+    """Return the values of each step: the signals, their uncertainty and drift where known, then the results."""
     signals = signal_names(dataset)
     known = [sigma_name(name) for name in signals if knows_sigma(dataset, name)]
+    known += [drift_name(name) for name in signals if has_drift(dataset, name)]
     return [*signals, *known, *(name for name in _SCALARS if name in dataset)]
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fringedic.datasets.attributes import seconds
 from fringedic.datasets.quantities import PeopleUnit, largest_of, people_unit
-from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
+from fringedic.datasets.signals import drift_name, has_drift, knows_sigma, sigma_name, signal_names
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.evaluation.probes import region_statistics
 from fringedic.evaluation.truth import compare_with_truth
@@ -56,6 +56,9 @@ def step_columns(dataset: xr.Dataset) -> list[Column]:
     signals = [(name, name, 0.0) for name in signal_names(dataset)]
     signals += [
         (sigma_name(name), f"sigma of {name}", 0.0) for name in signal_names(dataset) if knows_sigma(dataset, name)
+    ]
+    signals += [
+        (drift_name(name), f"drift of {name}", 0.0) for name in signal_names(dataset) if has_drift(dataset, name)
     ]
     for name, heading, factor in (*signals, *_STEP_VALUES):
         if name in dataset:

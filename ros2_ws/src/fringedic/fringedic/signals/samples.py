@@ -93,6 +93,21 @@ def summarise(stamps: Sequence[int] | np.ndarray, values: Sequence[float] | np.n
     return SampleSummary(int(value.size), float(value.mean()), spread, drift)
 
 
+def slope(stamps: np.ndarray, values: np.ndarray) -> float:
+    """Return the slope of the straight line through samples [1/s], NaN with fewer than two; NaN is left out.
+
+    Examples
+    --------
+    >>> round(slope(np.array([0, 10**9, 2 * 10**9]), np.array([5.0, np.nan, 9.0])), 9)
+    2.0
+    """
+    measured = np.isfinite(values)
+    value, time = values[measured], 1e-9 * (stamps[measured] - stamps.min())
+    centred = time - time.mean() if time.size else time
+    moment = float(centred @ centred)
+    return float(centred @ value / moment) if moment > 0 else float("nan")
+
+
 def residuals(stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the deviations of samples from their fitted straight line; NaN is left out.
 

@@ -7,7 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fringedic.signals.samples import FEWEST_FOR_A_LINE, NEAR_NS, SampleSummary, residuals, samples_over, summarise
+from fringedic.signals.samples import (
+    FEWEST_FOR_A_LINE,
+    NEAR_NS,
+    SampleSummary,
+    residuals,
+    samples_over,
+    slope,
+    summarise,
+)
 
 
 class Channel(NamedTuple):
@@ -46,10 +54,14 @@ class SignalValue(NamedTuple):
     sigma
         Its standard uncertainty: that of the sensor, and the scatter of the samples about a straight line. NaN where
         that of the sensor is not known.
+    drift
+        Its change from the begin to the end of the exposures, by the straight line through the samples; NaN with fewer
+        than two.
     """
 
     mean: float = float("nan")
     sigma: float = float("nan")
+    drift: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ class Signal:
     >>> seconds = np.arange(4)
     >>> force = Signal(FORCE, 10**9 * seconds, 5.0 + seconds, np.full(4, 0.5))
     >>> force.value_over(1e9, 3e9)
-    SignalValue(mean=7.0, sigma=0.5)
+    SignalValue(mean=7.0, sigma=0.5, drift=2.0)
     """
 
     channel: Channel
@@ -103,7 +115,8 @@ class Signal:
         count = int(measured.sum())
         if count >= FEWEST_FOR_A_LINE:
             variance += float(np.sum(residuals(stamps, values) ** 2)) / (count - 2) / count
-        return SignalValue(summarise(stamps, values).mean, float(np.sqrt(variance)))
+        drift = slope(stamps, values) * 1e-9 * (end - begin)
+        return SignalValue(summarise(stamps, values).mean, float(np.sqrt(variance)), drift)
 
     def value_at(self, time: float, begin: float, end: float) -> SignalValue:
         """Return the value at one time of a test in motion, by the straight line through the samples around it.
@@ -126,7 +139,7 @@ class Signal:
         >>> seconds = np.arange(4)
         >>> force = Signal(FORCE, 10**9 * seconds, 5.0 + 2.0 * seconds, np.full(4, 0.5))
         >>> force.value_at(1.25e9, 1e9, 2e9)
-        SignalValue(mean=7.5, sigma=0.5)
+        SignalValue(mean=7.5, sigma=0.5, drift=2.0)
         """
         around = self.around(begin, end)
         stamps, values = around.stamps, around.values
@@ -137,12 +150,13 @@ class Signal:
         centred -= middle
         away = 1e-9 * (time - float(stamps[0])) - middle
         moment = float(centred @ centred)
-        slope = float(centred @ values) / moment if moment > 0 else 0.0
+        rate = float(centred @ values) / moment if moment > 0 else 0.0
         variance = float(np.mean(around.sigmas**2))
         if len(values) >= FEWEST_FOR_A_LINE and moment > 0:
             scatter = float(np.sum(residuals(stamps, values) ** 2)) / (len(values) - 2)
             variance += scatter * (1 / len(values) + away**2 / moment)
-        return SignalValue(float(values.mean()) + slope * away, float(np.sqrt(variance)))
+        mean = float(values.mean()) + rate * away
+        return SignalValue(mean, float(np.sqrt(variance)), rate * 1e-9 * (end - begin))
 
     def on_the_clock_of_the_rig(self, offset: float, drift: float, since: int) -> Signal:
         """Return the signal of a sensor that stamps with its own clock, with the stamps of the rig's clock.

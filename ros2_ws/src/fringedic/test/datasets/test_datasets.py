@@ -759,7 +759,7 @@ def test_a_recording_that_is_cut_off_is_measured_as_far_as_it_goes(bench, proces
     assert "damage" not in processed.attrs
 
 
-def test_another_sensor_is_in_the_dataset_beside_force_and_position(processed):
+def test_another_sensor_is_in_the_dataset_beside_force_and_position(bench, processed):
     """With its samples on their own time axis; no reader has to know it."""
     assert signal_names(processed) == ["force", "position", "temperature_grip"]
     steps = processed.step.values
@@ -771,8 +771,13 @@ def test_another_sensor_is_in_the_dataset_beside_force_and_position(processed):
     assert sorted(set(temperature.values)) == [295.0 + step for step in steps]
     assert len(force.stamps) > len(temperature.stamps)
     assert np.diff(temperature.stamps).min() >= 20_000_000
+    np.testing.assert_allclose(processed.temperature_grip_drift.drop_sel(step=4), 0.0, atol=1e-9)
+    assert np.isnan(processed.temperature_grip_drift.sel(step=4)), "the white step has one sample"
+    # one newton per frame; from the begin of the first exposure to the end of the last one
+    assert len(bench.patterns) - 1 < processed.force_drift.sel(step=1) < len(bench.patterns)
     headings = [column.heading for column in step_columns(processed)]
     assert {"force [N]", "position [mm]", "temperature_grip [K]", "sigma of temperature_grip [K]"} <= set(headings)
+    assert {"drift of force [N]", "drift of temperature_grip [K]"} <= set(headings)
     with pytest.raises(DatasetError, match="no samples of a signal 'voltage', only those of: force, position, temp"):
         signal_series(processed, "voltage")
 
