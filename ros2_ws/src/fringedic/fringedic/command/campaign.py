@@ -174,11 +174,11 @@ def _run(
     made = current_plan(campaign, recompute=recompute, follow=follow)
     say(*plan_sentences(made))
     unrecorded: list[Failure] = []  # of a store that can no longer be written: there they count as waiting
-    while (units := status_of(store, made).share(*shard)) and not unrecorded:
+    while units := status_of(store, made).share(*shard):
         failures = _process(units, engine)
         waiting = {unit.name for unit in status_of(store, made).waiting}
         unrecorded = [failure for failure in failures if failure.name in waiting]
-        if not follow:
+        if not follow or unrecorded:
             break
         made = update_plan(campaign, follow=True)  # recordings that were followed are complete, others have begun
     found = status_of(store, made)
