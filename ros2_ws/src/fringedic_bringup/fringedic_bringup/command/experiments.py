@@ -37,6 +37,7 @@ from fringedic.command.progress import LiveProgress
 from fringedic.command.run_table import report_table
 from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic.recording.bag_files import BAG
 from fringedic.wording.path_names import recording_names
 
 
@@ -158,7 +159,8 @@ def _tell(report: RunReport) -> None:
     if report.ended_early:
         say(f"{report.experiment} ended early: {report.ended_early}")
     if report.unmeasured:
-        say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
+        say(f"{report.folder}: recording (bag), no dataset: {report.unmeasured}")
+        say(f"'fringedic verify {report.folder / BAG}' checks the recording")
         return
     say(f"{report.folder}: report.html, recording (bag), dataset ({report.dataset}), {len(report.pictures)} pictures")
     if report.verdict:

@@ -36,6 +36,7 @@ from fringedic.errors import (
 )
 from fringedic.recording.bag_files import BAG
 from fringedic.signals import FORCE
+from fringedic.wording.causes import cause_of
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
@@ -150,7 +151,7 @@ def drive(
             record.publish(driver.number)
         except (FringedicError, OSError) as error:
             not_held = driver.end()
-            ended_early = str(error)
+            ended_early = _reason(error)
             progress.note(f"the programme ends early: {ended_early}{not_held and f'; {not_held}'}")
             record.publish(driver.number, ended_early, _code_of(error))
         except KeyboardInterrupt:
@@ -160,6 +161,12 @@ def drive(
             record.publish(driver.number, ended_early)
     again = driver.interrupted or (before is not None and bool(before.measured))
     return Driven(driver.reports, again, ended_early, interrupted)
+
+
+def _reason(error: FringedicError | OSError) -> str:
+    if isinstance(error, OSError) and error.filename:  # of a disk that is full or became read-only
+        return f"{error.filename}: {cause_of(error)}"
+    return str(error)
 
 
 class _FaultWatch:
