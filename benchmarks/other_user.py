@@ -27,6 +27,8 @@ from ament_index_python.packages import get_package_share_directory
 from rich.console import Console
 from rich.table import Table
 
+from fringedic_ros.middleware.fast_dds import name_of_version
+
 ROOT = Path(__file__).parents[1]
 RECORDING = ROOT / "ros2_ws/src/fringedic/test/recordings/version_0_1/bag"
 AS_NOBODY = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups", sys.executable, "-c"]
@@ -137,7 +139,7 @@ def attempts(process: psutil.Process, namespace: str, folder: Path) -> dict[str,
             TOPICS,
             namespace,
             str(ATTEMPT_S),
-            FASTRTPS_DEFAULT_PROFILES_FILE=str(profile),
+            **{f"{name_of_version(os.environ).upper()}_DEFAULT_PROFILES_FILE": str(profile)},
             ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET",
         )
     return found

@@ -7,6 +7,7 @@ import importlib
 import os
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -73,8 +74,9 @@ def members(tree: ast.AST) -> Iterator[str]:
             yield f"{owner.__name__}.{node.attr}"
 
 
-def used() -> set[str]:
-    return {name for tree in sources() for name in (*imported(tree), *members(tree))}
+@cache
+def used() -> frozenset[str]:
+    return frozenset(name for tree in sources() for name in (*imported(tree), *members(tree)))
 
 
 @pytest.fixture(scope="module")

@@ -76,7 +76,7 @@ def let_its_listener_neither_wait_nor_process(port: Path) -> None:
     1024 states of 20 bytes stand before the name of the memory; the lowest bit of one says that it is in use.
     """
     with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as memory:
-        state = memory.find(b"fastrtps\0") - 1024 * 20
+        state = memory.find(f"{name_of_version(os.environ)}\0".encode()) - 1024 * 20
         assert memory[state] & 1, "the layout of another version of Fast DDS"
         memory[state] = 1
 
