@@ -75,8 +75,8 @@ def choose_participant_number(domain: int) -> int:
 
     By itself a process takes the lowest free number, and one that is started again that of its predecessor. The memory
     of a port counts as alive when its reader was killed neither while it waited nor while it processed a message
-    (Fast DDS 2.14.5 and 3.2.3, SharedMemGlobal.hpp). Processes that sent to the predecessor then go on to write there, and the
-    successor never receives their messages.
+    (Fast DDS 2.14.5 and 3.2.3, SharedMemGlobal.hpp). Processes that sent to the predecessor then go on to write there,
+    and the successor never receives their messages.
     """
     first = os.getpid()  # processes that start together begin at different numbers
     numbers = ((first + turn) % NUMBERS for turn in range(NUMBERS))
