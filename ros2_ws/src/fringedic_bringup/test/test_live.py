@@ -13,7 +13,7 @@ from rich.console import Console
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic_bringup.display.live import block, drawing, sparkline
 from fringedic_bringup.launch.graph import live_graph
-from fringedic_bringup.procedures.setup_patterns import LivePattern
+from fringedic_bringup.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
 
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"

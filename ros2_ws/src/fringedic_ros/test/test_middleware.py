@@ -70,12 +70,12 @@ def test_one_that_is_not_installed_is_refused_by_name(installed: Callable[..., N
 
 def test_a_command_with_one_that_is_not_installed_ends_with_one_sentence() -> None:
     """The import of rclpy would end its process."""
-    command = [sys.executable, "-m", "fringedic", "run", "tiny"]
+    command = [sys.executable, "-m", "fringedic"]
     environment = {**os.environ, "RMW_IMPLEMENTATION": "rmw_none"}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    subprocess.run([*command, "run", "--help"], env=environment, stdout=subprocess.DEVNULL, check=True)
+    ended = subprocess.run([*command, "run", "tiny"], env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 1, ended.stderr
     assert "RMW_IMPLEMENTATION=rmw_none is not installed, but rmw_fastrtps_cpp" in " ".join(ended.stderr.split())
-    assert "repair" not in ended.stderr, "the package is intact"
 
 
 @pytest.mark.parametrize("name", INSTALLED)

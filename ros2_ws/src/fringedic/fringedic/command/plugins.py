@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.errors import ConfigurationError
 
 COMMANDS, PROCEDURES = "fringedic.commands", "fringedic.procedures"
 ROS = ("ament_index_python", "launch", "launch_ros", "rclpy")
@@ -28,15 +28,11 @@ def load_commands() -> bool:
     ------
     ConfigurationError
         A package cannot be imported.
-    FringedicError
-        A package refuses to be imported, such as without its middleware.
     """
     found = entry_points(group=COMMANDS)
     for each in found:
         try:
             each.load()
-        except FringedicError:
-            raise  # its message states what to do
         except Exception as error:
             package = each.dist.name if each.dist else each.value
             raise ConfigurationError(

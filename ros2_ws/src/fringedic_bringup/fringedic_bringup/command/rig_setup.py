@@ -13,7 +13,7 @@ from fringedic.command.folders import unused_folder
 from fringedic.command.progress import LiveProgress
 from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
+from fringedic_bringup.setup_patterns import LivePattern, ShownPattern
 
 
 @app.command(

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fringedic.rig_setup.live_sentences import live_entries
-from fringedic_bringup.procedures.setup_patterns import LivePattern
+from fringedic_bringup.setup_patterns import LivePattern
 
 if TYPE_CHECKING:
     from fringedic_msgs.msg import LiveView

@@ -46,8 +46,8 @@ from fringedic_bringup.procedures.region import SETTLING_S
 from fringedic_bringup.procedures.response import PICTURE as RESPONSE_PICTURE
 from fringedic_bringup.procedures.response import measure_rig_response
 from fringedic_bringup.procedures.run import load_rig, run_experiment
-from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_bringup.procedures.timing import measure_rig_timing
+from fringedic_bringup.setup_patterns import LivePattern
 
 IMAGES_AT_REST = 3
 

@@ -14,7 +14,7 @@ from fringedic.patterns.pattern import SETUP, WHITE, PatternKind, ProjectedPatte
 from fringedic_bringup.launch.graph import live_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, ExposingClient
-from fringedic_bringup.procedures.setup_patterns import LivePattern
+from fringedic_bringup.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
 from fringedic_ros.arrivals import unconnected
 from fringedic_ros.qos import DERIVED

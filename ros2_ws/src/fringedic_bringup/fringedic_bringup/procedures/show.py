@@ -12,7 +12,7 @@ from fringedic.patterns.pattern import SETUP, WHITE, PatternKind, ProjectedPatte
 from fringedic_bringup.launch.graph import projecting_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import ExposingClient
-from fringedic_bringup.procedures.setup_patterns import ShownPattern
+from fringedic_bringup.setup_patterns import ShownPattern
 
 
 def hold_pattern(
