@@ -23,6 +23,7 @@ from fringedic_ros.spinning import Spinning
 from fringedic_ros.waiting import until
 
 PROFILES = Path(__file__).parents[2] / "fringedic_bringup" / "config"
+ENVIRONMENT = Path(__file__).parents[4] / "setup" / "environment.sh"
 NAMESPACE = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
 INSTALLED = ("rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_zenoh_cpp")
 
@@ -94,6 +95,15 @@ def test_only_processes_of_fast_dds_get_its_settings_ports_and_shared_memory(
     finally:
         left.unlink(missing_ok=True)
     assert done == (name == "rmw_fastrtps_cpp",) * 3
+
+
+@pytest.mark.skipif(not Path(sys.prefix, "lib", "private_memory.so").exists(), reason="set-up made no environment")
+@pytest.mark.parametrize("name", ["", *INSTALLED])
+def test_the_libraries_that_correct_fast_dds_are_loaded_with_it_alone(name: str) -> None:
+    environment = {**os.environ, "RMW_IMPLEMENTATION": name, "LD_PRELOAD": ""}
+    command = ["bash", "-c", f'. "{ENVIRONMENT}" && . "{ENVIRONMENT}" && printf "$LD_PRELOAD"']
+    loaded = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert loaded.count("private_memory.so") == (name in ("", "rmw_fastrtps_cpp"))
 
 
 @pytest.mark.parametrize(
