@@ -143,7 +143,7 @@ def thermocouple(domain: int) -> Iterator[None]:
         context.shutdown()
 
 
-def record_experiment(rig: Path, folder: Path) -> RecordedExperiment:
+def record_experiment(rig: Path, folder: Path, *options: str) -> RecordedExperiment:
     """Run ``fringedic run RIG --output FOLDER`` in this process, in a ROS domain of its own, with a thermocouple."""
     reports: list[RunReport] = []
     run_experiment = run.run_experiment
@@ -157,7 +157,7 @@ def record_experiment(rig: Path, folder: Path) -> RecordedExperiment:
             patch.setenv(name, value)
         patch.setattr(run, "run_experiment", keep_report)
         with thermocouple(domain):
-            done = CliRunner().invoke(app, ["run", str(rig), "--output", str(folder)])
+            done = CliRunner().invoke(app, ["run", str(rig), "--output", str(folder), *options])
     assert done.exit_code == 0, f"{done.output}\n{done.exception!r}"
     return RecordedExperiment(reports[0], done.output)
 

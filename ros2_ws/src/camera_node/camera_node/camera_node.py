@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from statistics import fmean
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
@@ -16,7 +17,7 @@ from camera_node.scene_watch import SceneStamps, SceneWatch
 from camera_node.truth_file import TruthFile
 from fringedic.errors import CameraError, CameraTimeoutError, FringedicError, PatternError, WaitTimeoutError
 from fringedic.frames.records import FrameRecord
-from fringedic.patterns.pattern import pattern_of_message
+from fringedic.patterns.pattern import moving_frames, pattern_of_message
 from fringedic.settings.camera import CameraNodeSettings
 from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
@@ -48,6 +49,7 @@ class CameraNode(HardwareNode[CameraNodeSettings]):
         self._free_run = FreeRun(self, self._thread, self._scenes, self._publisher)
         self._truth: TruthFile | None = None
         self._truth_experiment = ""
+        self._positions: list[tuple[FrameRecord, float]] = []  # of the crosshead during the frames of the step
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
         self.create_service(
@@ -121,7 +123,7 @@ class CameraNode(HardwareNode[CameraNodeSettings]):
         scene = await self._scenes.scene(stamps, exposure_time, camera.timeout_s)
         frame = await self._thread.expose(scene, camera.timeout_s + exposure_time)
         stamp = self._publisher.publish(frame, record, self._thread.open_driver)
-        self._save_truth(request, scene)
+        self._save_truth(request, record, scene)
         return stamp
 
     def _record(self, request: CaptureFrame.Request) -> FrameRecord:
@@ -179,8 +181,9 @@ class CameraNode(HardwareNode[CameraNodeSettings]):
         self.get_logger().error(response.error_message)
         self.diagnostics.failure(response.error_message)
 
-    def _save_truth(self, request: CaptureFrame.Request, scene: Scene) -> None:
-        """Write the truth of a step of the specimen after its last frame."""
+    def _save_truth(self, request: CaptureFrame.Request, record: FrameRecord, scene: Scene) -> None:
+        """Write the truth of a step of the specimen after its last frame, at the time that its results belong to."""
+        self._positions = [*(self._positions if request.index else ()), (record, scene.position)]
         folder, driver = self.parameters.value.truth_folder, self._thread.driver
         is_last = request.index + 1 == request.count
         if not folder or not is_last or scene.plane is not None or not isinstance(driver, VirtualDriver):
@@ -188,7 +191,9 @@ class CameraNode(HardwareNode[CameraNodeSettings]):
         if self._truth is None or self._truth_experiment != request.experiment:
             self._truth = TruthFile(Path(folder) / "truth.nc", driver.rig)
             self._truth_experiment = request.experiment
-        self._thread.submit(self._truth.add, request.step, scene.position)
+        finest = moving_frames([each.pattern for each, _ in self._positions])
+        position = fmean(self._positions[k][1] for k in finest) if finest else scene.position
+        self._thread.submit(self._truth.add, request.step, position)
 
 
 def main() -> int:

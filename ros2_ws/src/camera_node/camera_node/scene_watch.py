@@ -7,6 +7,7 @@ import time
 from collections import deque
 from typing import Literal, NamedTuple
 
+import numpy as np
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
@@ -21,6 +22,7 @@ from fringedic_ros.qos import LATCHED, LATEST
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Condition
 
+_KEPT_POSITIONS = 1000  # of the crosshead: one second of the fastest machine
 _KEPT_PATTERNS = 16  # the latest pattern and earlier ones that a slow projector may still show
 
 
@@ -62,6 +64,7 @@ class SceneWatch:
         self._samples: PolledTopic[LoadState] | None = None
         self._patterns: deque[Image] = deque(maxlen=_KEPT_PATTERNS)
         self._load: LoadState | None = None
+        self._positions: deque[tuple[int, float]] = deque(maxlen=_KEPT_POSITIONS)  # stamp [ns] and position [m]
         self._plane: PlacedPlane | None = None
         self._placed_ns = 0
         self._pattern_arrivals = Arrivals(node, Image, "projector/image")
@@ -128,13 +131,34 @@ class SceneWatch:
         self._load_arrivals.renew()
         with self._samples.listening():
             await self._changed.wait(
-                lambda: self._load_ns() >= stamp or self._has_last_sample(stamps.loaded_ns),
+                lambda: (
+                    self._load_ns() >= self._needed(stamp, exposure_time) or self._has_last_sample(stamps.loaded_ns)
+                ),
                 timeout_s,
                 "a sample of load_frame/state during the exposure",
                 self._load_arrivals,
             )
-        position = 0.0 if self._load is None else self._load.position
-        return Scene(stamp, self._shown(), position, self._plane, exposure_time)
+        position, travel = self._motion(stamp, exposure_time)
+        return Scene(stamp, self._shown(), position, self._plane, exposure_time, travel)
+
+    def _needed(self, stamp: int, exposure_time: float) -> int:
+        """Return the stamp of the sample that shows the specimen until the end of an exposure [ns]."""
+        return stamp + round(0.5e9 * exposure_time) if self._moves() else stamp
+
+    def _moves(self) -> bool:
+        return self._load is not None and self._load.mode == LoadState.MOVING
+
+    def _motion(self, stamp: int, exposure_time: float) -> tuple[float, float]:
+        """Return the position of the crosshead at the middle of an exposure, and its way meanwhile [m].
+
+        It moves at constant speed between two samples.
+        """
+        if self._load is None or not self._moves():
+            return 0.0 if self._load is None else self._load.position, 0.0
+        stamps, positions = zip(*self._positions, strict=True)
+        moments = 0.5 * exposure_time * np.array([-1.0, 0.0, 1.0])
+        begin, middle, end = np.interp(moments, 1e-9 * (np.array(stamps) - stamp), positions)
+        return float(middle), float(end - begin)
 
     async def _await_pattern(self, shown_ns: int, timeout_s: float) -> None:
         if not shown_ns:
@@ -157,6 +181,10 @@ class SceneWatch:
 
     def _take_load(self, message: LoadState) -> None:
         self._load = message
+        stamp = to_nanoseconds(message.header.stamp)
+        if self._positions and self._positions[-1][0] >= stamp:
+            self._positions.clear()  # the clock was set back
+        self._positions.append((stamp, message.position))
         self._load_arrivals.take_stamped(to_nanoseconds(message.header.stamp))
         self._changed.notify()
 

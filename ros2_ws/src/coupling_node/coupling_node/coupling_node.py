@@ -11,7 +11,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.arrow_markers import ArrowMarkers
-from fringedic.patterns.pattern import Orientation, PatternKind
+from fringedic.patterns.pattern import PHASE_KINDS, Orientation, PatternKind
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
@@ -86,7 +86,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
     def _take_exposure(self, message: Exposure) -> None:
         if message.index != message.count - 1:
             return
-        if message.kind == PatternKind.FRINGES:  # the last exposure has the step's stamp and the finest pitch
+        if message.kind in PHASE_KINDS:  # the last exposure has the step's stamp and the finest pitch
             if self.exchange is None:
                 self._join("camera/exposure", message)
         elif message.kind == PatternKind.WHITE:

@@ -22,7 +22,7 @@ from experiment_node.plane_steps import PlaneSteps
 from experiment_node.rig_transforms import RigTransforms
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
-from fringedic.errors import WaitTimeoutError
+from fringedic.errors import PatternError, WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
 from fringedic.settings.experiment import ExperimentNodeSettings
@@ -41,7 +41,7 @@ from fringedic_ros.stamps import to_msg
 from fringedic_ros.topics import NODE_PARAMETERS
 from fringedic_ros.waiting import wait_for
 
-Result = MeasureStep.Result
+Goal, Result = MeasureStep.Goal, MeasureStep.Result
 HOLD_S = 5.0  # for the load frame to answer the hold of a failed step
 
 
@@ -155,7 +155,8 @@ class ExperimentNode(RigNode):
             _fill_in(result, step)
             goal.succeed()
             return result
-        if (hold := self._request_hold()) is not None:
+        goes_on = step.is_moving and failure.code != Result.CANCELLED  # a failed stack does not stop the motion
+        if not goes_on and (hold := self._request_hold()) is not None:
             with suppress(WaitTimeoutError):  # after the result the client may move again; a late hold would stop that
                 await wait_for(self, hold, HOLD_S, "the answer to the hold")
         if failure.code == Result.CANCELLED:
@@ -166,14 +167,13 @@ class ExperimentNode(RigNode):
 
     def _begin_step(self, goal: ServerGoalHandle, parameters: ExperimentNodeSettings) -> RunningStep:
         request, experiment = goal.request, self._experiment
-        fringes = request.mode == MeasureStep.Goal.FRINGES
         number = experiment.take_number()
         client = f" for {request.controller}" if request.controller else ""
         self._step = RunningStep(
             goal=self._slot.begin(goal, f"step {number} is being measured{client}"),
             experiment=experiment,
             number=number,
-            patterns=parameters.step_patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
+            patterns=_patterns(request.mode, parameters),
             nodes=() if parameters.record_only else parameters.nodes,
             is_reference=request.set_reference or experiment.next_is_reference,
             previous_lost=experiment.previous_lost and not request.set_reference,
@@ -185,10 +185,14 @@ class ExperimentNode(RigNode):
         if self._slot.activity:
             who = f"{request.controller} has to" if request.controller else "you have to"
             return StepFailure(Result.BUSY, f"{self._slot.activity}; {who} wait until it has ended")
-        if request.mode not in (MeasureStep.Goal.FRINGES, MeasureStep.Goal.WHITE):
-            return StepFailure(Result.INVALID_GOAL, f"mode {request.mode} is unknown; use FRINGES or WHITE")
-        if request.mode == MeasureStep.Goal.FRINGES and not parameters.projector:
+        if request.mode not in (Goal.FRINGES, Goal.WHITE, Goal.MOVING):
+            return StepFailure(Result.INVALID_GOAL, f"mode {request.mode} is unknown; use FRINGES, WHITE or MOVING")
+        if request.mode != Goal.WHITE and not parameters.projector:
             return StepFailure(Result.INVALID_GOAL, "fringes need a projector; set projector to true or measure WHITE")
+        try:
+            _patterns(request.mode, parameters)
+        except PatternError as error:
+            return StepFailure(Result.INVALID_GOAL, str(error))
         return None
 
     def _request_hold(self) -> Future | None:
@@ -203,6 +207,19 @@ class ExperimentNode(RigNode):
         response = future.result()
         if not response.success:
             self.get_logger().error(f"the load frame did not accept the hold: {response.message}")
+
+
+def _patterns(mode: int, parameters: ExperimentNodeSettings) -> tuple[ProjectedPattern, ...]:
+    """Return the patterns of the frames of a step.
+
+    Raises
+    ------
+    PatternError
+        A surface in motion cannot be measured with the sequence of the rig.
+    """
+    if mode == Goal.WHITE:
+        return (ProjectedPattern(PatternKind.WHITE),)
+    return parameters.moving_step_patterns() if mode == Goal.MOVING else parameters.step_patterns()
 
 
 def _publish_feedback(stage: str, step: RunningStep) -> None:
@@ -231,12 +248,10 @@ def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     if "coupling" in step.statuses:
         result.rms_displacement = step.statuses["coupling"].rms_displacement
     result.processing_time = step.processing_time
-    signals = step.signals.signals
-    force, position = (signals[each.name].summary_over(*step.exposed_over()) for each in (FORCE, POSITION))
-    result.load_samples = force.samples
+    result.load_samples = step.signals.signals[FORCE.name].summary_over(*step.exposed_over()).samples
     result.recorded_frames, result.recorded_crc = step.recorded_frames, step.recorded_crc
-    result.force_mean, result.force_range = force.mean, force.spread
-    result.position_mean, result.position_range = position.mean, position.spread
+    result.force_mean, result.force_range = step.value_of(FORCE)
+    result.position_mean, result.position_range = step.value_of(POSITION)
 
 
 def main() -> int:

@@ -37,6 +37,8 @@ SAMPLE_TIMEOUT = 6.0  # [s] for a sample of the present, or of after the last ex
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD, MOST_BEHIND = MOST_AHEAD_S, MOST_BEHIND_S  # [s] of a stamp before and after the arrival of its sample
 MOST_BACK = MOST_AHEAD  # [s] by which it may be earlier than the stamp of the sample before
+FEWEST_FOR_NOISE = 5  # samples of the position
+REVERSED, CERTAIN = 0.2, 6.0  # of the range and the noise of the position, by which it goes back when it reverses
 RECENT = 30.0  # [s] in which one sample has to come in time: a busy computer delays some, a clock that is behind all
 JUMPED_BACK = "the clock jumped back; measure the step again, and do not set the clock during a test"
 
@@ -113,7 +115,7 @@ class LoadWatch:
         StepFailure
             LOAD_NOT_HELD.
         """
-        if not self._is_expected(step, parameters) or not parameters.hold_required:
+        if not self._is_expected(step, parameters) or not _must_hold(step, parameters):
             return
         timeout = SAMPLE_TIMEOUT if self._latest is not None else parameters.start_timeout_s
         await self._await_sample(step, begin, timeout)
@@ -148,7 +150,7 @@ class LoadWatch:
         StepFailure
             LOAD_NOT_HELD.
         """
-        if parameters.hold_required and step.experiment.has_load_frame:
+        if _must_hold(step, parameters) and step.experiment.has_load_frame:
             self._check_clock(step, Result.LOAD_NOT_HELD)
             _check_held([self._latest])
 
@@ -165,21 +167,24 @@ class LoadWatch:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
-        """Check hold and drift over the exposures of a step, whose records have arrived.
+        """Check hold and drift over the exposures of a step, whose records have arrived; in motion its times.
 
         Raises
         ------
         StepFailure
             LOAD_NOT_HELD also without samples that show a hold before, during and after the exposures; LOAD_DRIFT also
             when a drift that has a limit is unknown. One of the two when the clocks differ: force and position of the
-            step, which are chosen by stamps, would be those of another time.
+            step, which are chosen by stamps, would be those of another time. In motion LOAD_DRIFT also when the
+            crosshead reversed.
         """
         expected = self._is_expected(step, parameters)
         limits = [limit for limit in drift_limits(parameters) if expected or not limit.needs_load_frame]
-        if not expected and not limits:
+        if step.is_moving:
+            limits = []
+        if not expected and not limits and not step.is_moving:
             return
         start, end = step.exposed_over()
-        hold_required = expected and parameters.hold_required
+        hold_required = expected and _must_hold(step, parameters)
         code = Result.LOAD_NOT_HELD if hold_required else Result.LOAD_DRIFT
         _check_camera_clock(step, code)
         if hold_required:
@@ -201,6 +206,8 @@ class LoadWatch:
             await self._changed.wait(show_end, SAMPLE_TIMEOUT)
         for limit in limits:
             check_drift(step, limit)
+        if step.is_moving and expected:
+            check_direction(step)
 
 
 class DriftLimit(NamedTuple):
@@ -245,6 +252,32 @@ def drift_limits(parameters: ExperimentNodeSettings) -> list[DriftLimit]:
         for name in parameters.required_signals
     ]
     return [limit for limit in limits if limit.largest] + required
+
+
+def _must_hold(step: RunningStep, parameters: ExperimentNodeSettings) -> bool:
+    return parameters.hold_required and not step.is_moving
+
+
+def check_direction(step: RunningStep) -> None:
+    """Check that the crosshead did not reverse during the exposures of a step in motion.
+
+    Raises
+    ------
+    StepFailure
+        LOAD_DRIFT.
+    """
+    position = step.signals.signals[POSITION.name].around(*step.exposed_over()).values
+    if len(position) < FEWEST_FOR_NOISE:
+        return
+    forward = position if position[-1] >= position[0] else -position
+    back = float(np.max(np.maximum.accumulate(forward) - forward))
+    noise = float(np.std(np.diff(position, 2))) / math.sqrt(6)  # second differences of equal noise
+    if back > max(REVERSED * float(np.ptp(position)), CERTAIN * noise):
+        raise StepFailure(
+            Result.LOAD_DRIFT,
+            f"the crosshead reversed during the exposures and went back by {1e3 * back:.4f} mm; a stack in motion "
+            "needs one direction",
+        )
 
 
 def _collect(step: RunningStep, sample: LoadState) -> None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiments import Experiment
-from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.signals import SignalCollector
+from fringedic.patterns.pattern import ProjectedPattern, middle_two, moving_frames
+from fringedic.signals import Channel, SignalCollector
 from fringedic_msgs.msg import LoadState, NodeStatus
 from fringedic_ros.result_codes import failed_node
 from fringedic_ros.stamps import to_nanoseconds
@@ -94,6 +94,11 @@ class RunningStep:
         self.on_stage(stage, self)
 
     @property
+    def is_moving(self) -> bool:
+        """Whether the step is measured in motion: the machine need not hold."""
+        return bool(moving_frames(self.patterns))
+
+    @property
     def stamp(self) -> int:
         """Stamp of the last frame taken so far [ns], 0 before the first."""
         return self.stamps[-1] if self.stamps else 0
@@ -120,6 +125,19 @@ class RunningStep:
     def exposed_over(self) -> tuple[int, int]:
         """Return the start of the first exposure and the end of the last one [ns]."""
         return self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
+
+    def value_of(self, channel: Channel) -> tuple[float, float]:
+        """Return mean and range of a signal over the exposures; of a step in motion its value at the time of it."""
+        signal = self.signals.signals[channel.name]
+        summary = signal.summary_over(*self.exposed_over())
+        finest = moving_frames(self.patterns)
+        if not finest:
+            return summary.mean, summary.spread
+        exposures = [self.exposures[k] for k in finest if k in self.exposures]
+        first = exposures[0][0]
+        time = first + sum(begin + end - 2 * first for begin, end in exposures) / (2 * len(exposures))
+        before, after = middle_two(exposures)
+        return signal.value_at(time, before[0], after[1]).mean, summary.spread
 
     def load_around_requests(self) -> list[LoadState]:
         """Return the samples of the load frame that prove a hold on every clock.

@@ -610,6 +610,21 @@ def test_the_machine_has_to_hold(rig: Rig) -> None:
     assert rig.step().error_code == Result.NONE
 
 
+def test_a_step_in_motion_needs_no_hold_and_requests_none_when_it_fails(rig: Rig) -> None:
+    rig.say_load(LoadState.MOVING)
+    measured = rig.step(mode=MeasureStep.Goal.MOVING)
+    assert measured.error_code == Result.NONE, measured.error_message
+    kinds = [captured.kind for captured in rig.captured]
+    first, last = (index for index, kind in enumerate(kinds) if kind == Exposure.GREY)
+    assert last == len(kinds) - 1, "uniform light before and after the finest pitch"
+    middle = (first + last) / 2  # the force grows by 1 N with each frame, sampled at its end
+    assert measured.force_mean == pytest.approx(rig.force + middle, abs=1.0)
+    rig.answers = {"phase": NodeStatus.FRAME_MISSING}
+    assert rig.step(mode=MeasureStep.Goal.MOVING).error_code == Result.PHASE_FAILED
+    rig.serve(0.2)
+    assert rig.holds == 0, "the test goes on"
+
+
 def test_only_fresh_samples_prove_a_hold(rig: Rig) -> None:
     """A process that is stopped or killed leaves its last sample, whatever the machine does meanwhile."""
     rig.say_load(LoadState.HOLD)

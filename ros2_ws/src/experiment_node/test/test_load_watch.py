@@ -11,7 +11,7 @@ import pytest
 
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiments import Experiment
-from experiment_node.load_watch import check_drift, drift_limits
+from experiment_node.load_watch import check_direction, check_drift, drift_limits
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.settings.experiment import ExperimentNodeSettings
@@ -108,3 +108,11 @@ def test_a_required_signal_has_to_cover_the_exposures_whatever_its_drift(gap: fl
     with pytest.raises(StepFailure, match=r"or write required: false to signals\.grip") as failure:
         check(step, required)
     assert failure.value.code == MeasureStep.Result.LOAD_DRIFT
+
+
+def test_a_crosshead_that_reverses_is_named() -> None:
+    noise = 1e-7 * np.random.default_rng(1).standard_normal(TIMES.size)
+    with pytest.raises(StepFailure, match=r"reversed during the exposures and went back by 0\.0[67]"):
+        check_direction(measured_step(TIMES, 0.0, 1e-3 - 5e-5 * abs(TIMES - 11.7)))
+    for positions in (1e-3 + 2e-5 * TIMES + noise, 1e-3 - 2e-5 * TIMES + noise, 1e-3 + noise, 1e-3):
+        check_direction(measured_step(TIMES, 0.0, positions))

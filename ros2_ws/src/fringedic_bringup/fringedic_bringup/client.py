@@ -49,7 +49,7 @@ from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import LOST_S, LongRequest, Patience, RepeatedRequest
 
-MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE, "moving": MeasureStep.Goal.MOVING}
 # Ends of a move that need a person: somebody wants the machine to stand still, or it does not do what is requested.
 STOPS = (
     MoveCrosshead.Result.CANCELLED,
@@ -136,6 +136,7 @@ class RigClient:
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
         self._cancels_sent = False  # it is cancelled when its acceptance arrives
         self._running: RepeatedGoal | None = None  # goal whose result is pending
+        self._moving: RepeatedGoal | None = None  # move during which steps are measured
         # the last of all, because a node discovers the endpoints of another in the order of their creation
         self._own_hold: RepeatedRequest | None = None  # of which a request may still be on its way
         self._pings = {
@@ -264,31 +265,106 @@ class RigClient:
         WaitTimeoutError
             `until` is given, and no state of the load frame arrives; the message gives the reason.
         """
+        goal = self._move_goal(position, speed, force_above, force_below)
+        self._settle_own_hold()
+        if until is None:
+            return self._act(self._move, goal, _move_text(goal), lambda _: None)
+        move = self._begin_move(goal, until)
+        return move.outcome(self._result(move.sent, lambda: move.is_over(_Followed.present), _move_text(goal)))
+
+    def measure_while_moving(
+        self,
+        position: float,
+        speed: float,
+        *,
+        every_s: float = 0.0,
+        force_above: float | None = None,
+        force_below: float | None = None,
+        until: Callable[[Reading], object] = lambda _: False,
+        measured: Callable[[MeasureStep.Result, bool], object] = lambda *_: None,
+        feedback: Callable[[MeasureStep.Feedback], None] = lambda _: None,
+    ) -> MoveCrosshead.Result:
+        """Move the crosshead as `move` does, and measure stack after stack until it has ended, without a hold.
+
+        Parameters
+        ----------
+        position, speed, force_above, force_below, until
+            See `move`. While a stack is exposed the camera does not run freely, and the latest strain is compared; the
+            next stack waits for a new one.
+        every_s
+            From the begin of a stack to that of the next [s]; 0: as fast as possible.
+        measured
+            Called with the result of every stack, also of one that failed, and whether the move has ended meanwhile.
+        feedback
+            Called with stage and frame of each stack.
+
+        Raises
+        ------
+        MoveStoppedError, StepFailedError, WaitTimeoutError
+            See `move`. No error of a stack is raised.
+        """
+        goal = self._move_goal(position, speed, force_above, force_below)
+        self._settle_own_hold()
+        move = self._begin_move(goal, until)
+        self._moving, self._running = move.sent, None
+        follows_strain = not math.isnan(self._strain.latest)
+
+        def is_over() -> bool:
+            return move.is_over(_Followed.present)
+
+        def begins() -> bool:
+            return is_over() or (self._load is not None and self._load.mode == LoadState.MOVING)
+
+        self.wait_for(begins, START_TIMEOUT_S, lambda: f"{_move_text(goal)}: the machine does not begin to move")
+        while not is_over():
+            begun, came = time.monotonic(), self._strain.count
+            result = self._measure_during(move, feedback)
+            measured(result, is_over())
+            for followed in (self._strain, *self._followed.values()):
+                followed.renew()
+
+            def may_follow(begun: float = begun, came: int = came) -> bool:
+                is_due = time.monotonic() >= begun + every_s
+                is_known = self._strain.count > came or math.isnan(self._strain.present())
+                return is_over() or (is_due and (not follows_strain or is_known))
+
+            while not may_follow():
+                self._spin_once()
+        ended = self._result(move.sent, is_over, _move_text(goal))
+        self._moving = None
+        return move.outcome(ended)
+
+    def _measure_during(self, move: _Move, feedback: Callable[[MeasureStep.Feedback], None]) -> MeasureStep.Result:
+        """Return the result of a stack in motion."""
+        goal = MeasureStep.Goal(mode=MeasureStep.Goal.MOVING, controller=self._name)
+        for followed in (self._strain, *self._followed.values()):
+            followed.of_step = math.nan
+        sent = self._send(self._measure, goal, "measure_step", feedback)
+
+        def is_over() -> bool:
+            move.is_over(lambda followed: followed.latest)
+            return sent.request_result()
+
+        result = self._result(sent, is_over, "measure_step")
+        self._take_number(result)
+        return result
+
+    def _move_goal(
+        self, position: float, speed: float, force_above: float | None, force_below: float | None
+    ) -> MoveCrosshead.Goal:
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=self._name)
         goal.force_above = [] if force_above is None else [float(force_above)]
         goal.force_below = [] if force_below is None else [float(force_below)]
-        what = f"crosshead to {position * 1e3:.4f} mm"
-        self._settle_own_hold()
-        if until is None:
-            return self._act(self._move, goal, what, lambda _: None)
+        return goal
+
+    def _begin_move(self, goal: MoveCrosshead.Goal, until: Callable[[Reading], object]) -> _Move:
+        """Send a move that a condition may end, once a sample of the load frame has come."""
         self._load_arrivals.renew()
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: str(self._load_arrivals))
-        sent = self._send(self._move, goal, what, lambda _: None)
+        sent = self._send(self._move, goal, _move_text(goal), lambda _: None)
         for followed in (self._strain, *self._followed.values()):
             followed.renew()
-        stopped, again = False, 0.0
-
-        def over() -> bool:
-            nonlocal stopped, again
-            ended = sent.request_result()
-            stopped = stopped or bool(not ended and until(self._read(_Followed.present)))
-            if stopped and not ended and time.monotonic() > again:  # a request may be lost
-                again = time.monotonic() + CANCEL_AGAIN_S
-                sent.handle.cancel_goal_async()
-            return ended
-
-        result = self._result(sent, over, what)
-        return result if stopped and result.error_code == MoveCrosshead.Result.CANCELLED else _without_error(result)
+        return _Move(sent, lambda value: until(self._read(value)))
 
     def wait_for_strain(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for a publisher of the strain.
@@ -377,17 +453,20 @@ class RigClient:
                 # not sent again: it would begin now
                 self.wait_for(lambda: sent.is_answered, timeout_s, lambda: "the answer to the goal: no answer")
                 self._take_answer(sent)
-            if (running := self._running) is not None:
+            while (running := self._moving or self._running) is not None:
                 self._await(running.handle.cancel_goal_async(), timeout_s, "cancelling")
                 self.wait_for(running.request_result, timeout_s, lambda: "the result of the cancelled goal: no answer")
-                self._running = None
+                if running is self._moving:
+                    self._moving = None
+                else:
+                    self._running = None
                 with suppress(StepFailedError):  # the goal has ended, too
                     result = running.result
                     self._take_number(result)
                     if isinstance(result, MoveCrosshead.Result) and result.error_code != result.CANCELLED:
                         stop = result  # it had ended before
         except WaitTimeoutError:
-            self._sent = self._running = None
+            self._sent = self._running = self._moving = None
             raise
         if stop is not None and stop.error_code in STOPS:
             _without_error(stop)
@@ -410,7 +489,7 @@ class RigClient:
 
     def measure(
         self,
-        mode: Literal["fringes", "white"] = "fringes",
+        mode: Literal["fringes", "white", "moving"] = "fringes",
         *,
         set_reference: bool = False,
         feedback: Callable[[MeasureStep.Feedback], None] = lambda _: None,
@@ -420,7 +499,8 @@ class RigClient:
         Parameters
         ----------
         mode
-            ``fringes``: shape and displacement; ``white``: one frame, in-plane displacement.
+            ``fringes``: shape and displacement; ``white``: one frame, in-plane displacement; ``moving``: shape and
+            displacement while the machine moves.
         set_reference
             The step becomes the reference of the following ones.
         feedback
@@ -763,11 +843,50 @@ class RigClient:
             self._followed[name].take(self._signals.latest[name].value)
 
 
+class _Move:
+    """A move that a condition may end.
+
+    Parameters
+    ----------
+    sent
+        Its goal.
+    until
+        Called with a function that returns the value of each followed signal; when it returns true, the move ends.
+    """
+
+    def __init__(self, sent: RepeatedGoal, until: Callable[[Callable[[_Followed], float]], object]) -> None:
+        self.sent = sent
+        self._until = until
+        self._stopped, self._again_s = False, 0.0
+
+    def is_over(self, value: Callable[[_Followed], float]) -> bool:
+        """Return whether the move has ended; request its end when the condition is met by these values."""
+        ended = self.sent.request_result()
+        self._stopped = self._stopped or bool(not ended and self._until(value))
+        if self._stopped and not ended and time.monotonic() > self._again_s:  # a request may be lost
+            self._again_s = time.monotonic() + CANCEL_AGAIN_S
+            self.sent.handle.cancel_goal_async()
+        return ended
+
+    def outcome(self, result: MoveCrosshead.Result) -> MoveCrosshead.Result:
+        """Return the result of the move, which is over.
+
+        Raises
+        ------
+        MoveStoppedError, StepFailedError
+            It ended otherwise than at its position or by the condition.
+        """
+        ended_here = self._stopped and result.error_code == MoveCrosshead.Result.CANCELLED
+        return result if ended_here else _without_error(result)
+
+
 class _Followed:
     """Values that arrive live.
 
     Attributes
     ----------
+    count
+        Number of values that have arrived.
     latest
         The latest value; NaN before the first.
     of_step
@@ -776,11 +895,13 @@ class _Followed:
 
     def __init__(self) -> None:
         self.latest = self.of_step = math.nan
+        self.count = 0
         self._came = deque[float](maxlen=10)
         self._silence = Patience(SILENT_S)
 
     def take(self, value: float) -> None:
         """Take a value that arrives now."""
+        self.count += 1
         self._came.append(time.monotonic())
         periods = [later - earlier for earlier, later in pairwise(self._came)]
         self._silence = Patience(max(SILENT_S, MISSED * statistics.median(periods or [0.0])))
@@ -795,6 +916,10 @@ class _Followed:
     def present(self) -> float:
         """Return the latest value; NaN if no value has come for 2 s and three of its periods."""
         return math.nan if self._silence.is_over() else self.latest
+
+
+def _move_text(goal: MoveCrosshead.Goal) -> str:
+    return f"crosshead to {goal.position * 1e3:.4f} mm"
 
 
 def _without_error(result: Any) -> Any:

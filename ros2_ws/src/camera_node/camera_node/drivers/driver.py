@@ -55,11 +55,13 @@ class Scene:
     patterns
         The latest images of the projector, oldest first; empty: the projector is dark.
     position
-        Crosshead position [m].
+        Crosshead position at the middle of the exposure [m].
     plane
         The plane on the stage; None: the specimen is in front of the camera.
     exposure_time
         Exposure time [s].
+    travel
+        Way of the crosshead during the exposure [m].
     """
 
     stamp_ns: int
@@ -67,6 +69,7 @@ class Scene:
     position: float
     plane: PlacedPlane | None = None
     exposure_time: float = 0.01
+    travel: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class VirtualDriver(LocalDriver):
             scene.position,
             self._frames,
             exposure_factor=1.0 if white is None else 1e3 * scene.exposure_time / white,
+            travel=scene.travel,
         )
         self._frames += 1
         return Frame(image, scene.stamp_ns, scene.exposure_time)

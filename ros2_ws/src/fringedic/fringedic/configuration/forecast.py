@@ -22,6 +22,7 @@ FRAME_TIME = 0.022  # of a request of pattern and frame, beside exposure and set
 MOVE_TIME = 0.5  # of a request of a move, its ramps, and the detection of the hold
 STEP_TIME = 0.1  # begin and end of a step
 PHASE_TIME = 0.5e-6  # per pixel of a step: phase and texture
+MOVING_PHASE_TIME = 1.5e-6  # the same in motion
 POINT_TIME = 1.1e-6  # per measured point of a step: displacement, shape and strain
 RENDERING_TIME = 2.6e-6, 0.05e-6  # of a virtual camera: per pixel of a position, and of each frame
 WRITING_TIME = 2.0, 7e-6  # after the test, of each step in dataset, figures and report; and per measured point
@@ -38,6 +39,7 @@ SAMPLE_BYTES = 320  # of force and position in three messages
 RUN_BYTES = 10_000_000  # logs, calibration, report
 ROOM_LEFT = 100e6  # free space at which the recorder ends a recording
 
+_ROUNDING = 1e-6  # of the number of stacks during a move
 UNKNOWN_SIZE = 2560, 1920  # (width, height) [px] assumed for images whose size is known from their files only
 
 
@@ -123,18 +125,19 @@ def forecast(rig: RigFile, programme: Programme, done: int = 0) -> Forecast:
     costs = _Costs.of(rig)
     steps = programme.load_steps()
     before, steps = steps[:done], steps[done:]
-    measured = [step for step in steps if step.mode != "none"]
-    recorded = [step for step in before if step.mode != "none"]
+    recorded = costs.stacks(before, 0.0)
+    measured = costs.stacks(steps, _last_position(before))
+    resting = [step for step in measured if step.mode != "moving"]  # the others are measured during a move
     frames = sum(costs.frames(step) for step in measured)
-    evaluation = sum(costs.evaluation_time(step) for step in measured)
+    evaluation = sum(costs.evaluation_time(step) for step in resting)
     test = START_TIME + _moving_time(rig, before + steps) - _moving_time(rig, before)
     test += sum(step.hold_s for step in steps)
-    test += len(measured) * costs.step_time + frames * costs.frame_time
+    test += len(resting) * costs.step_time + sum(costs.frames(step) for step in resting) * costs.frame_time
     writing = len(recorded + measured) * (WRITING_TIME[0] + WRITING_TIME[1] * costs.points)
     if rig.recording.process:
         test += evaluation
     if done or not rig.recording.process:
-        writing += evaluation + sum(costs.evaluation_time(step) for step in recorded)
+        writing += sum(costs.evaluation_time(step) for step in measured + recorded)
     free_frames = 0
     if rig.extensometer is not None:
         free_frames = round(rig.extensometer.rate_hz * max(test - START_TIME - frames * costs.frame_time, 0.0))
@@ -145,7 +148,14 @@ def forecast(rig: RigFile, programme: Programme, done: int = 0) -> Forecast:
     if done:
         size += forecast(rig, programme).size  # all parts are copied into one recording
     return Forecast(
-        len(steps), len(measured), frames, free_frames, test, writing, size, early=bool(programme.conditions())
+        len(steps) + len(measured) - sum(step.mode != "none" for step in steps),
+        len(measured),
+        frames,
+        free_frames,
+        test,
+        writing,
+        size,
+        early=bool(programme.conditions()),
     )
 
 
@@ -195,10 +205,34 @@ class _Costs:
         )
 
     def frames(self, step: ProgrammeStep) -> int:
+        if step.mode == "moving":
+            return len(self.rig.moving_patterns())
         return self.fringe_frames if step.mode == "fringes" else 1
 
     def evaluation_time(self, step: ProgrammeStep) -> float:
-        return POINT_TIME * self.points + (PHASE_TIME * self.pixels if step.mode == "fringes" else 0.0)
+        phase = {"fringes": PHASE_TIME, "moving": MOVING_PHASE_TIME}.get(step.mode, 0.0)
+        return POINT_TIME * self.points + phase * self.pixels
+
+    def stacks(self, steps: list[ProgrammeStep], position: float) -> list[ProgrammeStep]:
+        """Return the steps that are measured, one in motion as often as it is measured during its move.
+
+        Parameters
+        ----------
+        steps
+            Steps of a programme.
+        position
+            Of the crosshead before them [m].
+        """
+        measured: list[ProgrammeStep] = []
+        for step in steps:
+            way = 0.0 if step.position is None else abs(step.position - position)
+            position = position if step.position is None else step.position
+            if step.mode == "moving":
+                of_one = self.step_time + self.frames(step) * self.frame_time + self.evaluation_time(step)
+                measured += [step] * (1 + int(way / step.speed / max(of_one, step.every_s) + _ROUNDING))
+            elif step.mode != "none":
+                measured.append(step)
+        return measured
 
     def step_bytes(self, step: ProgrammeStep) -> float:
         size = self.frames(step) * self.frame_bytes + PICTURE_BYTES + DATASET_BYTES * self.points
@@ -206,7 +240,7 @@ class _Costs:
             size += TRUTH_BYTES * self.pixels
         if self.rig.recording.process and self.rig.recording.derived:
             size += DIC_BYTES * self.points
-            if step.mode == "fringes":
+            if step.mode in ("fringes", "moving"):
                 size += PHASE_BYTES * self.pixels + CLOUD_BYTES * self.points
         return size
 
@@ -215,6 +249,10 @@ def _bits(rig: RigFile) -> int:
     if rig.camera.source == "virtual":
         return rig.virtual_configuration().sensor.bits
     return rig.camera.bits or 8
+
+
+def _last_position(steps: list[ProgrammeStep]) -> float:
+    return next((step.position for step in reversed(steps) if step.position is not None), 0.0)
 
 
 def _moving_time(rig: RigFile, steps: list[ProgrammeStep]) -> float:

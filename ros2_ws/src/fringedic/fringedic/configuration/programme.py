@@ -39,10 +39,18 @@ class ProgrammeStep(Section):
     speed_mm_per_s: float = Field(1.0, gt=0, le=FASTEST_MM_PER_S, description="Speed of the crosshead [mm/s].")
     until: Until | None = Field(None, description="Ends the move before its position; the machine then holds.")
     hold_s: float = Field(0.0, ge=0, le=86400, description="Time between move and measurement [s].")
-    mode: Literal["fringes", "white", "none"] = Field(
-        "fringes", description="white: one frame, in-plane displacement only; none: nothing is measured."
+    mode: Literal["fringes", "white", "none", "moving"] = Field(
+        "fringes",
+        description="white: one frame, in-plane displacement only; none: nothing is measured; moving: stack after "
+        "stack is measured during the move, without a hold.",
     )
     set_reference: bool = Field(False, description="This step becomes the reference of the following ones.")
+    every_s: float = Field(
+        0.0,
+        ge=0,
+        le=86400,
+        description="With mode: moving, from the begin of a stack to that of the next [s]; 0: as fast as possible.",
+    )
 
     @model_validator(mode="after")
     def _can_be_done(self) -> ProgrammeStep:
@@ -52,6 +60,13 @@ class ProgrammeStep(Section):
             raise ValueError("a move cannot end by valid_fraction_below; put it into the until of a ramp or cycle")
         if self.set_reference and self.mode == "none":
             raise ValueError("a step that is not measured (mode: none) cannot be the reference")
+        if self.mode == "moving" and (self.position_mm is None or self.hold_s or self.set_reference):
+            raise ValueError(
+                "mode: moving measures during a move; give position_mm, no hold_s, and set the reference in a step "
+                "before it"
+            )
+        if self.every_s and self.mode != "moving":
+            raise ValueError("every_s is the time from stack to stack with mode: moving; remove it")
         return self
 
     @property
@@ -101,6 +116,55 @@ class Ramp(Section):
         return self.repeats_at_rest + self.steps
 
 
+class Continuous(Section):
+    """A step at rest, and then a move during which stack after stack is measured without a hold.
+
+    Examples
+    --------
+    >>> pull = Continuous(to_mm=0.6, speed_mm_per_s=0.02, until=Until(force_above_n=500))
+    >>> [(step.position_mm, step.mode) for step in pull.entries()]
+    [(0.0, 'fringes'), (0.6, 'moving')]
+    """
+
+    from_mm: float = Field(
+        0.0,
+        ge=-FARTHEST_MM,
+        le=FARTHEST_MM,
+        description="Crosshead position of the step at rest, which is measured first [mm].",
+    )
+    to_mm: float = Field(
+        ge=-FARTHEST_MM, le=FARTHEST_MM, description="Farthest crosshead position, where the move ends [mm]."
+    )
+    speed_mm_per_s: float = Field(gt=0, le=FASTEST_MM_PER_S, description="Speed of the crosshead meanwhile [mm/s].")
+    until: Until | None = Field(None, description="Ends the move before its position; the machine then holds.")
+    every_s: float = Field(
+        0.0,
+        ge=0,
+        le=86400,
+        description="From the begin of a stack to that of the next [s]; 0: as fast as possible.",
+    )
+
+    @model_validator(mode="after")
+    def _can_be_done(self) -> Continuous:
+        if self.from_mm == self.to_mm:
+            raise ValueError("from_mm and to_mm are equal, so that nothing moves; give another to_mm")
+        self.entries()
+        return self
+
+    def entries(self) -> list[ProgrammeStep]:
+        """Return the step at rest and the one that moves; the way to `from_mm` has the same speed."""
+        return [
+            ProgrammeStep(position_mm=self.from_mm, speed_mm_per_s=self.speed_mm_per_s),
+            ProgrammeStep(
+                position_mm=self.to_mm,
+                speed_mm_per_s=self.speed_mm_per_s,
+                until=self.until,
+                mode="moving",
+                every_s=self.every_s,
+            ),
+        ]
+
+
 class Cycle(Section):
     """Steps that are repeated."""
 
@@ -123,6 +187,12 @@ class RampEntry(Section):
     ramp: Ramp = Field(description="Equal steps.")
 
 
+class ContinuousEntry(Section):
+    """A measured move among steps."""
+
+    continuous: Continuous = Field(description="A move during which stack after stack is measured.")
+
+
 class CycleEntry(Section):
     """A cycle among steps."""
 
@@ -130,7 +200,7 @@ class CycleEntry(Section):
 
 
 def _kind(entry: Any) -> str:
-    for kind, section in (("cycle", CycleEntry), ("ramp", RampEntry)):
+    for kind, section in (("cycle", CycleEntry), ("ramp", RampEntry), ("continuous", ContinuousEntry)):
         if isinstance(entry, section) or (isinstance(entry, dict) and kind in entry):
             return f"a {kind}"
     return "a step"
@@ -139,6 +209,7 @@ def _kind(entry: Any) -> str:
 Entry = Annotated[
     Annotated[ProgrammeStep, Tag("a step")]
     | Annotated[RampEntry, Tag("a ramp")]
+    | Annotated[ContinuousEntry, Tag("a continuous")]
     | Annotated[CycleEntry, Tag("a cycle")],
     Discriminator(_kind),
 ]
@@ -147,7 +218,7 @@ CycleEntry.model_rebuild()
 
 
 class Programme(Section):
-    """The load steps of one experiment, written out or as a ramp.
+    """The load steps of one experiment, written out, as a ramp, or as a move that is measured while it lasts.
 
     Examples
     --------
@@ -160,8 +231,13 @@ class Programme(Section):
     specimen: SpecimenMetadata | None = Field(
         None, description="Metadata of the specimen, instead of those of the rig file."
     )
-    steps: list[Entry] | None = Field(None, min_length=1, description="Steps, ramps and cycles in their order.")
+    steps: list[Entry] | None = Field(
+        None, min_length=1, description="Steps, ramps, moves that are measured (continuous) and cycles in their order."
+    )
     ramp: Ramp | None = Field(None, description="Equal steps, instead of the key steps.")
+    continuous: Continuous | None = Field(
+        None, description="A move at constant speed that is measured while it lasts, instead of the key steps."
+    )
     on_operator_lost: Literal["continue", "hold"] = Field(
         "continue",
         description="With `fringedic operate`, when the page of the driver is closed: continue, or pause after the "
@@ -170,14 +246,16 @@ class Programme(Section):
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Programme:
-        if (self.steps is None) == (self.ramp is None):
-            raise ValueError("give either steps or ramp")
+        if sum(each is not None for each in (self.steps, self.ramp, self.continuous)) != 1:
+            raise ValueError("give either steps, ramp or continuous")
         if self.count() > MOST_STEPS:
             raise ValueError(f"the programme has {self.count()} steps, at most {MOST_STEPS} are allowed")
         return self
 
     def entries(self) -> list[ProgrammeStep | Ramp | Cycle]:
         """Return steps, ramps and cycles in their order."""
+        if self.continuous is not None:
+            return list(self.continuous.entries())
         return [self.ramp] if self.ramp is not None else _plain(self.steps or ())
 
     def count(self) -> int:
@@ -243,13 +321,17 @@ def _ended_block(
     return None
 
 
-def _plain(entries: Sequence[ProgrammeStep | RampEntry | CycleEntry]) -> list[ProgrammeStep | Ramp | Cycle]:
+def _plain(
+    entries: Sequence[ProgrammeStep | RampEntry | ContinuousEntry | CycleEntry],
+) -> list[ProgrammeStep | Ramp | Cycle]:
     plain: list[ProgrammeStep | Ramp | Cycle] = []
     for entry in entries:
         if isinstance(entry, RampEntry):
             plain.append(entry.ramp)
         elif isinstance(entry, CycleEntry):
             plain.append(entry.cycle)
+        elif isinstance(entry, ContinuousEntry):
+            plain.extend(entry.continuous.entries())
         else:
             plain.append(entry)
     return plain

@@ -10,7 +10,7 @@ import yaml
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.yaml_section import validate
-from fringedic.errors import ConfigurationError
+from fringedic.errors import ConfigurationError, PatternError
 from fringedic.settings.load_frame import DescribedLoadFrame
 from fringedic.wording.yaml_text import load_yaml
 
@@ -91,10 +91,12 @@ def check_programme(rig: RigFile, programme: Programme) -> None:
     Raises
     ------
     ConfigurationError
-        The rig moves no machine, so that all steps would be measured at the same load; or a position or a speed is
-        outside the range of the machine.
+        The rig moves no machine, so that all steps would be measured at the same load; a position or a speed is
+        outside the range of the machine; or the rig cannot measure while it moves.
     """
     allowed, steps = machine_range(rig), programme.load_steps()
+    if any(step.mode == "moving" for step in steps):
+        _check_moving(rig, programme)
     for number, step in enumerate(steps, start=1):
         if step.position_mm is None:
             continue
@@ -118,3 +120,15 @@ def check_programme(rig: RigFile, programme: Programme) -> None:
                 f"{where} moves at {step.speed_mm_per_s:g} mm/s, faster than {allowed.fastest_mm_per_s:g} mm/s of the "
                 "machine; reduce speed_mm_per_s"
             )
+
+
+def _check_moving(rig: RigFile, programme: Programme) -> None:
+    if rig.projector_size() is None:
+        raise ConfigurationError(
+            f"{programme.experiment} measures in motion, which needs the fringes of a projector; add a projector to "
+            "the rig, or use steps with mode: white"
+        )
+    try:
+        rig.moving_patterns()
+    except PatternError as error:
+        raise ConfigurationError(f"{programme.experiment}: {error}") from error

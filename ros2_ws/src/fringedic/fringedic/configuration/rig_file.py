@@ -208,6 +208,17 @@ class RigFile(Section):
         size = self.projector_size()
         return [] if size is None else list(self.sequence.patterns(*size))
 
+    def moving_patterns(self) -> list[ProjectedPattern]:
+        """Return the patterns of the frames of a step in motion, in their order; empty without a projector.
+
+        Raises
+        ------
+        PatternError
+            The sequence is none that a moving surface can be measured with.
+        """
+        size = self.projector_size()
+        return [] if size is None else list(self.sequence.moving_patterns(*size))
+
     @property
     def has_load_frame_node(self) -> bool:
         """Whether a load frame node of this rig moves the machine."""

@@ -15,7 +15,7 @@ from fringedic.datasets.rows import Row
 from fringedic.errors import DatasetError
 from fringedic.frames.records import FrameRecord, stamp_of, time_of
 from fringedic.metadata import FIRST_STEP, SpecimenMetadata
-from fringedic.patterns.pattern import PatternKind, moving_frames
+from fringedic.patterns.pattern import PatternKind, middle_two, moving_frames
 from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.reader import BagReader
@@ -235,7 +235,7 @@ class Timeline:
 
 
 class _Moving(NamedTuple):
-    """Time of a stack in motion, and the begin and end of the exposures of its finest pitch [ns]."""
+    """Time of a stack in motion, and the begin and end of the two exposures around it [ns]."""
 
     time: int
     begin: float
@@ -250,7 +250,7 @@ def _moving_times(exposed: Iterable[FrameRecord]) -> dict[int, _Moving]:
     times = {}
     for step, records_of_step in records_of.items():
         if finest := [records_of_step[k] for k in moving_frames([each.pattern for each in records_of_step])]:
-            first, last = finest[0], finest[-1]
+            first, last = middle_two(finest)
             begin, end = first.stamp - 0.5e9 * first.exposure_time, last.stamp + 0.5e9 * last.exposure_time
             times[step] = _Moving(time_of(records_of_step), begin, end)
     return times

@@ -10,6 +10,7 @@ from .named import preview as preview
 from .probes import extensometer as extensometer
 from .probes import profile as profile
 from .probes import region_statistics as region_statistics
+from .rates import rates as rates
 from .rigid_motion import remove_rigid_motion as remove_rigid_motion
 from .specimens import compare_specimens as compare_specimens
 from .specimens import specimen_maps as specimen_maps

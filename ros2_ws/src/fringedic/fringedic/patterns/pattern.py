@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from fringedic.errors import PatternError
+
+T = TypeVar("T")
 
 
 class PatternKind(IntEnum):
@@ -46,7 +48,7 @@ class ProjectedPattern:
     orientation
         Direction of the fringes.
     pitch
-        Fringe pitch [projector px], 0 without fringes.
+        Fringe pitch [projector px], 0 without fringes; of uniform light in a stack in motion the finest one.
     shift
         Fringes: k of eq. 11, from 1 on. Gray code: number of the bit, 1 for the coarsest. Uniform grey: numerator of
         the brightness shift / shifts. Otherwise 0.
@@ -77,7 +79,9 @@ class ProjectedPattern:
 
 
 WHITE = ProjectedPattern(PatternKind.WHITE)
-UNIFORM = ProjectedPattern(PatternKind.GREY, shift=1, shifts=1)  # as bright as white, in a stack of fringes
+UNIFORM = ProjectedPattern(
+    PatternKind.GREY, shift=50, shifts=51
+)  # as bright as white: the brightest fringe, 250 of 255
 SETUP = ProjectedPattern(PatternKind.OTHER)  # one of the named set-up patterns
 
 
@@ -108,6 +112,17 @@ def moving_frames(patterns: Sequence[ProjectedPattern]) -> list[int]:
     uniform = [k for k, each in enumerate(patterns) if each.kind in UNIFORM_KINDS]
     around = finest and uniform and uniform[0] < finest[0] and uniform[-1] > finest[-1]
     return finest if around else []
+
+
+def middle_two(finest: Sequence[T]) -> tuple[T, T]:
+    """Return the two frames around the middle of the finest pitch, during which signals hardly curve.
+
+    Examples
+    --------
+    >>> middle_two([4, 5, 6, 7]), middle_two([4, 5, 6])
+    ((5, 6), (4, 6))
+    """
+    return finest[(len(finest) - 1) // 2 - (len(finest) % 2)], finest[len(finest) // 2 + (len(finest) % 2)]
 
 
 class PatternMessage(Protocol):

@@ -330,12 +330,13 @@ def moving_sequence(
     --------
     >>> sequence = moving_sequence(800, 600, [800, 80], [4], order=[3, 2, 1, 4, 3, 2, 1, 4], parts=4)
     >>> len(sequence), str(sequence.patterns[4])
-    (14, 'uniform grey of 1/1')
+    (14, 'uniform grey of 50/51')
     """
     finest = ProjectedPattern(PatternKind.FRINGES, _direction(orientation), float(pitches[-1]), 1, parts)
     coarse = fringe_sequence(width, height, pitches[:-1], list(shifts), orientation).patterns if shifts else ()
     fine = tuple(replace(finest, shift=shift) for shift in order)
-    return _checked(PatternSequence(width, height, (*coarse, UNIFORM, *fine, UNIFORM)))
+    uniform = replace(UNIFORM, orientation=finest.orientation, pitch=finest.pitch)  # every frame names its fringes
+    return _checked(PatternSequence(width, height, (*coarse, uniform, *fine, uniform)))
 
 
 def _direction(orientation: str) -> Orientation:

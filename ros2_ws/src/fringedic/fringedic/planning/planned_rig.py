@@ -38,6 +38,8 @@ class PlannedRig:
         Parameters of displacement, coupling and strain.
     components
         Section ``plan``; None for a virtual rig, whose depths of field are unlimited.
+    exposure_time, settle_time
+        Of a frame, and between its pattern and its exposure [s]; the exposure is NaN where it is not known.
     """
 
     model: RigModel
@@ -46,6 +48,8 @@ class PlannedRig:
     dic: DicParameters
     coupling: CouplingParameters
     components: PlanSection | None = None
+    exposure_time: float = math.nan
+    settle_time: float = 0.0
 
     @classmethod
     def of(cls, rig: RigFile, name: str = "rig file") -> PlannedRig:
@@ -73,7 +77,8 @@ class PlannedRig:
             check_calibration(model, RigSetup(None, None, rig.patterns()))
         except (CalibrationError, PatternError) as error:
             raise RigSetupError(f"{name}: {error}") from error
-        return cls(model, configuration, tuple(rig.patterns()), rig.nodes.dic, rig.nodes.coupling, rig.plan)
+        exposed = rig.camera.exposure_time, rig.camera.settle_time
+        return cls(model, configuration, tuple(rig.patterns()), rig.nodes.dic, rig.nodes.coupling, rig.plan, *exposed)
 
     @property
     def layout(self) -> Layout:

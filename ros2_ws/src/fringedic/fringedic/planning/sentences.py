@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from fringedic.planning.motion_limit import MotionLimit, motion_limit
 from fringedic.planning.plan import NoiseSource, Plan
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, fringe_period, projector_pixel
 from fringedic.planning.planned_patch import QUANTITIES
@@ -56,9 +57,21 @@ def length_rows(plan: Plan) -> list[tuple[str, str]]:
         ("virtual strain gauge", f"{gauge} px, {1e3 * pixel * gauge:.2f} mm"),
         ("phase, in-plane displacement", f"{plan.centre.phase:.4f} rad, {max(plan.centre.in_plane):.4f} px"),
     ]
+    if planned.layout.code == 0:  # a Gray code is refused for a surface in motion
+        rows.append(("fastest motion without a hold", _motion_text(motion_limit(planned))))
     if math.isfinite(depth):
         rows.append(("depth of field of the camera", f"{1e3 * depth:.1f} mm"))
     return rows
+
+
+def _motion_text(limit: MotionLimit) -> str:
+    frames = f"{limit.per_frame:.2f} px from frame to frame across the fringes, condition {limit.condition:.1f}"
+    if math.isnan(limit.speed):
+        return frames
+    return (
+        f"{number_text(1e3 * limit.speed, 3)} mm/s: {frames}, {limit.frame_rate:.0f} frames/s, "
+        f"{100 * limit.contrast:.0f} % of the modulation left"
+    )
 
 
 def uncertainty_rows(plan: Plan) -> list[tuple[str, str, str, str, str]]:

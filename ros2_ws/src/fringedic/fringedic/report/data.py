@@ -16,7 +16,7 @@ from fringedic.datasets.attributes import image_size, recorded_metadata
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.metadata import Metadata
-from fringedic.patterns.pattern import PatternKind
+from fringedic.patterns.pattern import PatternKind, moving_frames
 from fringedic.recording.frames import records, with_losses
 from fringedic.recording.reader import BagReader
 from fringedic.rig_setup.advice import Advice
@@ -119,6 +119,8 @@ class Exposures:
         Fringe pitches, coarse to fine [projector px], and frames of each.
     orientation
         Direction of the fringes: ``vertical`` or ``horizontal``.
+    moving
+        Numbers of the steps that were measured in motion.
     """
 
     frames: int
@@ -128,6 +130,7 @@ class Exposures:
     pitches: tuple[float, ...]
     shifts: tuple[int, ...]
     orientation: str
+    moving: tuple[int, ...] = ()
 
 
 def read_exposures(recording: BagReader, experiment: str) -> Exposures | None:
@@ -151,6 +154,7 @@ def read_exposures(recording: BagReader, experiment: str) -> Exposures | None:
         pitches=pitches,
         shifts=tuple(fringes[pitch] for pitch in pitches),
         orientation=longest[0].pattern.orientation.name.lower(),
+        moving=tuple(step for step, frames in steps.items() if moving_frames([each.pattern for each in frames])),
     )
 
 

@@ -151,8 +151,40 @@ def fringe_entries(data: ReportData) -> list[Entry]:
             None if threshold is None else f"{threshold:g} grey levels above the threshold of the pixel's noise",
         ),
         Entry("phase noise", noise, "median of the stated standard deviation"),
+        *_motion_entries(data),
         *_calibration_entries(data, rig),
     ]
+
+
+def _motion_entries(data: ReportData) -> list[Entry]:
+    """Return how many steps were measured in motion, at which speed, and the points that this cost."""
+    if data.exposures is None or not data.exposures.moving:
+        return []
+    dataset = data.dataset
+    moving = np.isin(dataset["step"].values, data.exposures.moving)
+    entries = [Entry("steps measured in motion", f"{moving.sum()} of {moving.size}", "at the middle of their stacks")]
+    if "position" in dataset and moving.sum() > 1:
+        seconds = 1e-9 * np.diff(dataset["time"].values[moving].astype("datetime64[ns]").astype(np.int64))
+        speeds = 1e3 * np.diff(dataset["position"].values[moving]) / seconds
+        entries.append(
+            Entry(
+                "speed of the crosshead",
+                f"{number_text(float(np.nanmedian(speeds)), 3)} mm/s",
+                f"{number_text(float(np.nanmin(speeds)), 3)} to {number_text(float(np.nanmax(speeds)), 3)} mm/s "
+                "between neighbouring stacks",
+            )
+        )
+    part, known = dataset["valid_fraction"].values, np.isfinite(dataset["valid_fraction"].values)
+    if (known & moving).any() and (known & ~moving).any():
+        in_motion, at_rest = (100 * float(np.median(part[known & which])) for which in (moving, ~moving))
+        entries.append(
+            Entry(
+                "points lost to motion",
+                f"{at_rest - in_motion:.1f} %",
+                f"{in_motion:.1f} % measured, at rest {at_rest:.1f} %",
+            )
+        )
+    return entries
 
 
 def base_and_angle(rig: dict[str, Any]) -> tuple[float, float]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+from fringedic.configuration.forecast import FRAME_TIME
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import HarmonicError
 from fringedic.rig_setup.response import Correction, assess_correction, is_uneven
 from fringedic.rig_setup.timing import ProjectorTiming
+from fringedic.settings.experiment import MOVING_DRIFT
 
 _SLOW = 1e-4  # [s], time constant from which on the rise and fall of the light are worth a sentence
 
@@ -56,7 +58,13 @@ def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time:
         )
     else:
         settling = f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."
-    return [sentence, light, settling]
+    rate = 1 / (FRAME_TIME + exposure_time + max(settle_time, timing.settled()))
+    part = MOVING_DRIFT / (2 * math.pi)
+    motion = (
+        f"With these times about {rate:.0f} frames per second are taken: a test without holds follows a surface that "
+        f"moves by up to {part:.2f} fringes from frame to frame, {part * rate:.1f} fringes per second."
+    )
+    return [sentence, light, settling, motion]
 
 
 def response_sentences(curve: ResponseCurve, before: HarmonicError, after: HarmonicError, shifts: int) -> list[str]:

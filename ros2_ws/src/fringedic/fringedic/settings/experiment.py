@@ -7,14 +7,20 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from fringedic import phase
+from fringedic.errors import ErrorCode, PatternError
 from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
-from fringedic.patterns.sequences import FringeOrder, step_sequence
+from fringedic.patterns.sequences import FringeOrder, moving_sequence, step_sequence
 from fringedic.settings.base import MILLI, Settings
 from fringedic.settings.load_frame import HoldSettings
 from fringedic.settings.signals import RequiredSignals
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
+MOVING_FRAMES = 8
+"""Frames of the finest pitch of a stack in motion: two cycles of four shifts."""
+MOVING_DRIFT = 0.6
+"""Phase by which a surface may move from frame to frame without bad condition, in either direction [rad]."""
 FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
 
 
@@ -89,6 +95,33 @@ class SequenceSettings(Settings):
             width, height, pitches, shifts, self.orientation, self.fringe_order, grey_frame=self.grey_frame
         )
         return tuple(pattern for pattern in sequence.patterns for _ in self.exposures_ms or [0.0])
+
+    def moving_patterns(self, width: int, height: int) -> tuple[ProjectedPattern, ...]:
+        """Return the patterns of a MOVING step in their order.
+
+        Parameters
+        ----------
+        width, height
+            Size of the projector [px].
+
+        Raises
+        ------
+        PatternError
+            The sequence is none that a moving surface can be measured with.
+        """
+        if self.fringe_order != "pitches" or self.exposures_ms:
+            raise PatternError(
+                "a moving surface is measured with fringe_order: pitches and one exposure time; remove fringe_order "
+                "and exposures_ms from the sequence, or measure step by step",
+                code=ErrorCode.INVALID_SEQUENCE,
+            )
+        pitches = self.pitches(width)
+        shifts = (self.shifts * len(pitches) if len(self.shifts) == 1 else self.shifts)[: len(pitches) - 1]
+        plan = phase.plan_shifts(0.0, MOVING_FRAMES, uncertainty=MOVING_DRIFT)
+        sequence = moving_sequence(
+            width, height, pitches, shifts, self.orientation, order=plan.order, parts=plan.shifts
+        )
+        return sequence.patterns
 
 
 _OR_EMPTY = BeforeValidator(lambda value: value or {})
@@ -203,6 +236,16 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
     def step_patterns(self) -> tuple[ProjectedPattern, ...]:
         """Return the patterns of a FRINGES step on the projector of the rig."""
         return self.patterns(self.projector_width_px, self.projector_height_px)
+
+    def moving_step_patterns(self) -> tuple[ProjectedPattern, ...]:
+        """Return the patterns of a MOVING step on the projector of the rig.
+
+        Raises
+        ------
+        PatternError
+            The sequence is none that a moving surface can be measured with.
+        """
+        return self.moving_patterns(self.projector_width_px, self.projector_height_px)
 
     def exposure_time(self, index: int, pattern: ProjectedPattern) -> float:
         """Return the exposure time of a frame [s]; 0: the one of the camera.

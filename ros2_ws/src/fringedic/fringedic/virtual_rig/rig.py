@@ -30,6 +30,8 @@ from fringedic.virtual_rig.texture import make_texture, reflectance_at
 Map = NDArray[np.float64]
 
 _KEPT_VIEWS = 2  # of the reference and the deformed state
+_INSTANTS = 5  # of an exposure that a motion blurs
+_SHARP = 0.02  # [px] of motion during an exposure that blurs nothing
 # A pixel whose material point projects farther than this from its centre counts as not found [px]: a thousand times
 # the limit of convergence.
 _TOLERANCE = 1e-6
@@ -232,8 +234,9 @@ class VirtualRig:
         frame: int,
         *,
         exposure_factor: float = 1.0,
+        travel: float = 0.0,
     ) -> NDArray[np.unsignedinteger]:
-        """Take one picture during which the light of the projector changes.
+        """Take one picture during which the light of the projector changes, or the crosshead moves.
 
         Parameters
         ----------
@@ -241,9 +244,13 @@ class VirtualRig:
             Images of the projector, uint8 (projector rows, projector columns), each with its part of the light of a
             whole exposure; see `pattern_weights`.
         position, frame, exposure_factor
-            See `expose`, also for result and errors.
+            See `expose`, also for result and errors; the position is that of the middle of the exposure.
+        travel
+            Way of the crosshead during the exposure, at constant speed [m]; below a fiftieth of a pixel nothing blurs.
         """
-        return self._sense(self._level(parts, position), exposure_factor, frame)
+        instants = _INSTANTS if abs(travel) > _SHARP * 1e-6 * self.configuration.camera.pixel_size_um else 1
+        positions = np.clip(position + travel * _middles(instants), 0.0, self.maximum_position)
+        return self._sense(self._mean_level(parts, positions if travel else [position]), exposure_factor, frame)
 
     def expose_moving(
         self,
@@ -253,7 +260,7 @@ class VirtualRig:
         exposure_time: float,
         frame: int,
         *,
-        instants: int = 5,
+        instants: int = _INSTANTS,
     ) -> NDArray[np.unsignedinteger]:
         """Take one picture while the crosshead moves: the mean of several instants of the exposure (motion blur).
 
@@ -277,15 +284,19 @@ class VirtualRig:
         >>> bool((still == rig.expose(white, position=1e-4, frame=0)).all())
         True
         """
-        moments = time + exposure_time * ((np.arange(instants) + 0.5) / instants - 0.5)
-        positions = [motion.position(float(moment)) for moment in moments]
-        parts = [(projector_image, 1.0)]
+        positions = [motion.position(float(time + exposure_time * part)) for part in _middles(instants)]
+        return self._sense(self._mean_level([(projector_image, 1.0)], positions), 1.0, frame)
+
+    def _mean_level(
+        self, parts: Sequence[tuple[NDArray[np.uint8], float]], positions: Sequence[float] | NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Return the mean of the grey levels at several positions of the crosshead, see `_level`."""
         if max(positions) == min(positions):
-            return self._sense(self._level(parts, positions[0]), 1.0, frame)
+            return self._level(parts, positions[0])
         levels = np.zeros(self.shape)
         for position in positions:
             levels += self._level(parts, position)
-        return self._sense((levels / instants).astype(np.float32), 1.0, frame)
+        return (levels / len(positions)).astype(np.float32)
 
     def _level(self, parts: Sequence[tuple[NDArray[np.uint8], float]], position: float) -> NDArray[np.float32]:
         """Return the grey levels of a sharp lens without noise, for the exposure time of the white level."""
@@ -537,3 +548,14 @@ class VirtualRig:
         truth.to_netcdf(
             path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 1} for name in truth.data_vars}
         )
+
+
+def _middles(instants: int) -> NDArray[np.float64]:
+    """Return the middles of equal parts of an exposure, relative to its middle and duration.
+
+    Examples
+    --------
+    >>> _middles(2)
+    array([-0.25,  0.25])
+    """
+    return (np.arange(instants) + 0.5) / instants - 0.5

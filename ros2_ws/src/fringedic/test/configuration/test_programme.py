@@ -12,6 +12,7 @@ import yaml
 from fringedic.configuration.conditions import MetCondition, Reading, Until
 from fringedic.configuration.forecast import forecast
 from fringedic.configuration.programme import BlockEnd, Programme
+from fringedic.configuration.programme_check import check_programme, parse_programme
 from fringedic.configuration.rig_file import RigFile, load_programme
 from fringedic.errors import ConfigurationError, RecordingError
 
@@ -186,3 +187,56 @@ def test_a_run_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     ):
         needed.check_disk(tmp_path / "not" / "yet" / "there")
     forecast(rig(), programme("steps: [{mode: white}]")).check_disk(tmp_path)
+
+
+def test_a_continuous_programme_is_a_step_at_rest_and_a_measured_move() -> None:
+    test = programme("{continuous: {to_mm: 0.6, speed_mm_per_s: 0.02, every_s: 2, until: {force_above_n: 500}}}")
+    rest, pull = test.load_steps()
+    assert (rest.position_mm, rest.mode) == (0.0, "fringes")
+    assert (pull.position_mm, pull.speed_mm_per_s, pull.mode, pull.every_s) == (0.6, 0.02, "moving", 2.0)
+    assert [until.force_above_n for until in test.conditions()] == [500]
+    cycled = programme("{steps: [{cycle: {times: 2, steps: [{continuous: {to_mm: 0.1, speed_mm_per_s: 0.02}}]}}]}")
+    assert [step.mode for step in cycled.load_steps()] == ["fringes", "moving"] * 2
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{continuous: {to_mm: 0.0, speed_mm_per_s: 0.02}}", "nothing moves; give another to_mm"),
+        ("{continuous: {to_mm: 1.0}}", "speed_mm_per_s"),
+        ("{steps: [{mode: moving}]}", "give position_mm"),
+        ("{steps: [{position_mm: 1, every_s: 2}]}", "every_s is the time from stack to stack"),
+        ("{ramp: {to_mm: 1, steps: 3}, continuous: {to_mm: 1, speed_mm_per_s: 1}}", "steps, ramp or continuous"),
+    ],
+)
+def test_continuous_programmes_that_cannot_be_done(text: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        parse_programme(text)
+
+
+TINY = {
+    "camera": {"source": "virtual"},
+    "projector": {"source": "virtual"},
+    "virtual_rig": {"preset": "plate", "size": "tiny"},
+    "load_frame": {"source": "simulated"},
+}
+
+
+def test_a_move_is_forecast_with_the_stacks_during_it() -> None:
+    rig = RigFile.model_validate(TINY)
+    slow, fast = (
+        forecast(rig, programme(f"{{continuous: {{to_mm: 0.6, speed_mm_per_s: {speed}, every_s: 5}}}}"))
+        for speed in (0.01, 0.1)
+    )
+    assert (slow.measured, fast.measured) == (1 + 13, 1 + 2), "60 s and 6 s, a stack every 5 s"
+    assert slow.duration - fast.duration == pytest.approx(54, abs=0.1)
+
+
+def test_a_sequence_that_cannot_follow_a_motion_is_refused_before_the_test() -> None:
+    rig = RigFile.model_validate({**TINY, "sequence": {"exposures_ms": [5, 20]}})
+    pull = programme("{continuous: {to_mm: 0.6, speed_mm_per_s: 0.02}}")
+    with pytest.raises(ConfigurationError, match="one exposure time; remove fringe_order and exposures_ms"):
+        check_programme(rig, pull)
+    with pytest.raises(ConfigurationError, match="add a projector"):
+        check_programme(RigFile.model_validate({**TINY, "projector": None}), pull)
+    check_programme(RigFile.model_validate(TINY), pull)

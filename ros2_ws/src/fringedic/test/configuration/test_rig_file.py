@@ -201,7 +201,7 @@ def test_a_rig_with_another_calibration_has_its_model(tmp_path):
             r"order \[column, row\]",
         ),
         ("calibration", "nowhere.yaml", r"calibration: there is no file .*nowhere\.yaml"),
-        ("programme.steps", [{"position_mm": 0.0}], r"programme: give either steps or ramp"),
+        ("programme.steps", [{"position_mm": 0.0}], r"programme: give either steps, ramp or continuous"),
         ("programme.ramp.steps", 1, r"programme\.ramp\.steps: Input should be greater than or equal to 2"),
         ("programme.experiment", "a/b", r"programme\.experiment: String should match pattern"),
     ],

@@ -113,18 +113,20 @@ def test_sentences_of_averaged_pixels() -> None:
 
 
 def test_timing_of_pulsing_light() -> None:
-    delay, refresh, settle = timing_sentences(TIMING, 0.010, 0.005)
+    delay, refresh, settle, motion = timing_sentences(TIMING, 0.010, 0.005)
     assert "A pattern is visible 37.00 ms after the request (standard uncertainty 0.03 ms)" in delay
     assert "time constant" not in delay
     assert "pulses at 60.00 Hz" in refresh
     assert "one of 16.6667 ms (1 x 16.6667 ms)" in refresh
     assert "A settle time of 5 ms is too short: a pattern needs 37.1 ms" in settle
-    assert "A settle time of 50 ms is enough" in timing_sentences(TIMING, 0.010, 0.050)[-1]
+    assert "about 14 frames per second are taken" in motion, "22 + 10 + 37.1 ms"
+    assert "up to 0.10 fringes from frame to frame, 1.4 fringes per second" in motion
+    assert "A settle time of 50 ms is enough" in timing_sentences(TIMING, 0.010, 0.050)[2]
 
 
 def test_timing_of_steady_and_slow_light() -> None:
     slow = dataclasses.replace(TIMING, refresh=None, rise=5e-3, fall=4e-3)
-    delay, refresh, _ = timing_sentences(slow, 0.010, 0.005)
+    delay, refresh, *_ = timing_sentences(slow, 0.010, 0.005)
     assert "rises with a time constant of 5.0 ms and falls with one of 4.0 ms" in delay
     assert refresh == "The light is steady."
 

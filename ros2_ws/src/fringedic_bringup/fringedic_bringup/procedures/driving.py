@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from rclpy.duration import Duration
 
 from fringedic.command.outcome import Progress, StepReport
-from fringedic.configuration.conditions import MetCondition, Reading
+from fringedic.configuration.conditions import MetCondition, Reading, Until
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.configuration.sentences import block_end_sentence, condition_sentence
 from fringedic.errors import (
@@ -50,6 +50,7 @@ from fringedic_ros.topics import PROGRAMME
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
+STANDSTILL = 1e-7  # [m] of the crosshead during a stack in motion: less than its sensor resolves
 LOAD_FRAME = "load_frame"
 EXTENSOMETER = "extensometer"  # counts the strain from its first frame, and from each reference step
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
@@ -303,6 +304,8 @@ class _Driver:
             self._progress.note(f"recorder: {self._rig.recorder.error_message}")
 
     def _move_and_measure(self, step: ProgrammeStep) -> Reading | None:
+        if step.mode == "moving":
+            return self._measure_moving(step)
         moved = ""
         try:
             if step.position is not None:
@@ -335,6 +338,33 @@ class _Driver:
             self._progress.note(moved)
         return self._take(step, result)
 
+    def _measure_moving(self, step: ProgrammeStep) -> Reading | None:
+        """Measure stack after stack while the crosshead moves; return the readings of the last one that succeeded."""
+        reading: Reading | None = None
+
+        def take(result: MeasureStep.Result, ended: bool) -> None:
+            nonlocal reading
+            if result.error_code:
+                self._running.check()  # raises when a node has ended
+                text = f"{result.error_message} (error {result.error_code})"
+                if result.error_code == MeasureStep.Result.BUSY:
+                    self._progress.note(text)
+                    self._rig.sleep(BUSY_S)
+                elif ended:
+                    self._progress.note(f"{text}; the move ended during this stack, which is left out")
+                else:
+                    self._progress.note(text)
+                    self._report(StepReport(result.step, error=text))
+            else:
+                if result.position_range < STANDSTILL:
+                    self._progress.note(f"step {result.step}: the crosshead stood still")
+                reading = self._take(step, result)
+            self.number = self._rig.last_step + 1
+            self._last = max(self._last, self.number)
+
+        self._progress.note(self._move(step, take))
+        return reading
+
     def _take(self, step: ProgrammeStep, result: MeasureStep.Result) -> Reading:
         """Report a measured step."""
         self._restarted, self._silences = False, 0
@@ -353,15 +383,25 @@ class _Driver:
         self.reports.append(report)
         self._control.measured(report)
 
-    def _move(self, step: ProgrammeStep) -> str:
-        """Move, and return the reason when the move ended before its position; empty otherwise."""
+    def _move(self, step: ProgrammeStep, take: Callable[[MeasureStep.Result, bool], None] | None = None) -> str:
+        """Move, and return the reason when the move ended before its position; empty otherwise.
+
+        Parameters
+        ----------
+        step
+            With a position.
+        take
+            Called with the results of the stacks that are measured meanwhile, and whether the move has ended; None:
+            nothing is measured.
+        """
         position, until = step.position, step.until
         assert position is not None, "checked by the caller"
-        if until is None:
+        if until is None and take is None:
             self._tell(f"move to {position * 1e3:.3f} mm")
             self._rig.move(position, step.speed)
             return ""
         self._tell(f"move towards {position * 1e3:.3f} mm")
+        until = until or Until.model_construct()
         others, conditions = until.without_force(), list[MetCondition]()
 
         def met(reading: Reading) -> bool:
@@ -370,13 +410,13 @@ class _Driver:
                 conditions.append(condition)
             return bool(conditions)
 
-        ended = self._rig.move(
-            position,
-            step.speed,
-            force_above=until.force_above_n,
-            force_below=until.force_below_n,
-            until=None if others is None else met,
-        )
+        limits = {"force_above": until.force_above_n, "force_below": until.force_below_n}
+        if take is None:
+            ended = self._rig.move(position, step.speed, **limits, until=None if others is None else met)
+        else:
+            ended = self._rig.measure_while_moving(
+                position, step.speed, **limits, until=met, every_s=step.every_s, measured=take, feedback=self._show
+            )
         if ended.force_reached and (condition := until.met(Reading({FORCE.name: ended.reached_force}))) is not None:
             conditions.insert(0, condition)
         where = f"step {self.number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"

@@ -1,0 +1,66 @@
+"""Rates of displacement and strain between neighbouring steps of a test without holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError
+
+QUANTITIES = ("u", "v", "w", "e_11", "e_22", "e_12")
+
+
+def rates(experiment: xr.Dataset) -> xr.Dataset:
+    """Return the rates of displacement and strain between neighbouring steps, with their standard deviations.
+
+    The noise of the reference is the same in both steps and cancels. It is taken as half of the variance of each, which
+    is so where the reference is as noisy as the steps.
+
+    Parameters
+    ----------
+    experiment
+        Dataset of a recording; steps that failed have no rate on either side.
+
+    Returns
+    -------
+    Dataset
+        ``u_rate``, ``v_rate``, ``w_rate`` [m/s] and ``e_11_rate``, ``e_22_rate``, ``e_12_rate`` [1/s] with
+        ``sigma_u_rate`` and so on, over (step, row, column): those of ``step`` n are from the step before it to it, and
+        ``time`` is half way between their times. NaN where one of the two is not measured, or they have different
+        references.
+
+    Raises
+    ------
+    DatasetError
+        The dataset has fewer than two steps, no times or no displacement.
+
+    Examples
+    --------
+    >>> import fringedic
+    >>> with fringedic.open_experiment("recordings/pull/results.nc") as experiment:
+    ...     speed = rates(experiment).v_rate.median(("row", "column"))
+    """
+    present = [name for name in QUANTITIES if name in experiment and f"sigma_{name}" in experiment]
+    if not present or "time" not in experiment or experiment.sizes.get("step", 0) < 2:
+        raise DatasetError("rates need the displacement of two steps or more, and their times")
+    times = experiment["time"].values.astype(np.int64)
+    seconds = 1e-9 * np.diff(times)
+    reference = experiment["reference_step"].values
+    valid = (seconds > 0) & (reference[1:] == reference[:-1])
+    interval = xr.DataArray(np.where(valid, seconds, np.nan), dims="step")
+    later, earlier = (
+        experiment[present].isel(step=part).drop_vars("step") for part in (slice(1, None), slice(None, -1))
+    )
+    found = {}
+    for name in present:
+        unit = experiment[name].attrs.get("units", "")
+        rate = (later[name] - earlier[name]) / interval
+        variances = (experiment[f"sigma_{name}"].isel(step=part) ** 2 for part in (slice(1, None), slice(None, -1)))
+        half = sum(each.drop_vars("step") for each in variances) / 2
+        rate.attrs = {"units": "1/s" if unit in ("", "1") else f"{unit}/s", "long_name": f"rate of {name}"}
+        found[f"{name}_rate"] = rate
+        found[f"sigma_{name}_rate"] = (half**0.5 / interval).assign_attrs(rate.attrs)
+    middle = times[:-1] + np.diff(times) // 2
+    return xr.Dataset(found).assign_coords(
+        step=experiment["step"].values[1:], time=("step", middle.astype("datetime64[ns]"))
+    )

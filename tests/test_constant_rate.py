@@ -1,0 +1,81 @@
+"""A specimen that is pulled at a constant rate and measured without a hold, through the nodes of the virtual rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from running_system import RecordedExperiment, record_experiment
+
+import fringedic
+from fringedic.datasets.processing import dataset_from_derived, process_bag
+from fringedic.evaluation import open_truth, rates, truth_errors
+
+SPEED, END = 6e-6, 1e-4  # [m/s] of the crosshead, and where it reaches the force [m]
+PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 200}}}"
+
+
+@pytest.fixture(scope="module")
+def pulled(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> RecordedExperiment:
+    folder = tmp_path_factory.mktemp("pull")
+    (folder / "pull.yaml").write_text(PULL)
+    return record_experiment(tiny, folder / "run", "--programme", str(folder / "pull.yaml"))
+
+
+@pytest.fixture(scope="module")
+def results(pulled: RecordedExperiment) -> Iterator[xr.Dataset]:
+    with fringedic.open_experiment(pulled.report.folder / "results.nc") as dataset:
+        yield dataset
+
+
+@pytest.fixture(scope="module")
+def moving(results: xr.Dataset) -> xr.Dataset:
+    """Return the stacks before the end of the move."""
+    return results.isel(step=(results.step > 0).values & (results.position < 0.99 * END).values)
+
+
+def test_force_and_maps_at_many_instants_without_a_hold(
+    pulled: RecordedExperiment, results: xr.Dataset, moving: xr.Dataset
+) -> None:
+    assert "the force of 20" in pulled.output, "the condition ends the move"
+    assert moving.sizes["step"] >= 2, "many more on a computer without other work"
+    assert results.sizes["step"] - moving.sizes["step"] <= 2, "the step at rest, and the stack at the end of the move"
+    assert (moving.error == "").all()
+    seconds = 1e-9 * (moving.time.values - moving.time.values[0]).astype(float)
+    np.testing.assert_allclose(moving.position, float(moving.position[0]) + SPEED * seconds, atol=2e-7)
+    assert (np.diff(moving.force) > 0).all()
+    assert (moving.valid_fraction > 0.6).all()
+
+
+def test_displacements_and_their_rates_have_the_stated_errors(pulled: RecordedExperiment, moving: xr.Dataset) -> None:
+    found = rates(moving)
+    assert (abs(found.v_rate.median(("row", "column"))) > 0.2 * SPEED).all()
+    with open_truth(pulled.report.folder / "truth.nc") as truth:
+        errors = [truth_errors(moving, truth, int(step)) for step in moving.step]
+    for name in "uvw":
+        maps = np.stack([each[f"error_{name}"].values for each in errors])  # [m]
+        scores = maps / moving[f"sigma_{name}"].values
+        assert 0.8 < float(np.sqrt(np.nanmean(scores**2))) < 1.25, name
+        seconds = 1e-9 * np.diff(moving.time.values.astype(np.int64))
+        of_rates = np.diff(maps, axis=0) / seconds[:, None, None] / found[f"sigma_{name}_rate"].values
+        assert 0.75 < float(np.sqrt(np.nanmean(of_rates**2))) < 1.25, name
+
+
+def test_frames_give_the_same_bits_as_the_nodes(pulled: RecordedExperiment, tmp_path: Path) -> None:
+    bag = pulled.report.folder / "bag"
+    live, again = dataset_from_derived(bag, output=tmp_path / "live.nc"), process_bag(bag, output=tmp_path / "again.nc")
+    with fringedic.open_experiment(live) as nodes, fringedic.open_experiment(again) as processed:
+        shared = [str(name) for name in nodes.data_vars if name in processed and nodes[name].dtype.kind in "fi"]
+        assert {"phase", "u", "e_22", "sigma_w", "force", "position"} <= {*shared}
+        for name in [*shared, "time"]:
+            np.testing.assert_array_equal(nodes[name], processed[name], err_msg=name)
+
+
+def test_the_report_states_the_motion(pulled: RecordedExperiment) -> None:
+    page = (pulled.report.folder / "report.html").read_text("utf-8")
+    assert "steps measured in motion" in page
+    assert "points lost to motion" in page
+    assert "0.006 mm/s" in page
