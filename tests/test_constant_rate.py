@@ -14,7 +14,7 @@ import fringedic
 from fringedic.datasets.processing import dataset_from_derived, process_bag
 from fringedic.evaluation import open_truth, rates, truth_errors
 
-SPEED, END = 6e-6, 1e-4  # [m/s] of the crosshead, and where it reaches the force [m]
+SPEED, END = 6e-6, 1.2e-4  # [m/s] of the crosshead, and where it reaches the force [m]
 PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 200}}}"
 
 
@@ -34,7 +34,7 @@ def results(pulled: RecordedExperiment) -> Iterator[xr.Dataset]:
 @pytest.fixture(scope="module")
 def moving(results: xr.Dataset) -> xr.Dataset:
     """Return the stacks before the end of the move."""
-    return results.isel(step=(results.step > 0).values & (results.position < 0.99 * END).values)
+    return results.isel(step=(results.step > 0).values & (results.position < 0.95 * END).values)
 
 
 def test_force_and_maps_at_many_instants_without_a_hold(
@@ -42,7 +42,7 @@ def test_force_and_maps_at_many_instants_without_a_hold(
 ) -> None:
     assert "the force of 20" in pulled.output, "the condition ends the move"
     assert moving.sizes["step"] >= 2, "many more on a computer without other work"
-    assert results.sizes["step"] - moving.sizes["step"] <= 2, "the step at rest, and the stack at the end of the move"
+    assert results.sizes["step"] - moving.sizes["step"] <= 3, "the step at rest, and stacks at the end of the move"
     assert (moving.error == "").all()
     seconds = 1e-9 * (moving.time.values - moving.time.values[0]).astype(float)
     np.testing.assert_allclose(moving.position, float(moving.position[0]) + SPEED * seconds, atol=2e-7)
@@ -68,7 +68,9 @@ def test_frames_give_the_same_bits_as_the_nodes(pulled: RecordedExperiment, tmp_
     bag = pulled.report.folder / "bag"
     live, again = dataset_from_derived(bag, output=tmp_path / "live.nc"), process_bag(bag, output=tmp_path / "again.nc")
     with fringedic.open_experiment(live) as nodes, fringedic.open_experiment(again) as processed:
-        shared = [str(name) for name in nodes.data_vars if name in processed and nodes[name].dtype.kind in "fi"]
+        checks = {"confirmed_fraction", "phase_closure"}  # need the frames
+        shared = [str(name) for name, each in nodes.data_vars.items() if name in processed and each.dtype.kind in "fi"]
+        shared = [name for name in shared if name not in checks]
         assert {"phase", "u", "e_22", "sigma_w", "force", "position"} <= {*shared}
         for name in [*shared, "time"]:
             np.testing.assert_array_equal(nodes[name], processed[name], err_msg=name)
