@@ -228,7 +228,10 @@ class _Costs:
             way = 0.0 if step.position is None else abs(step.position - position)
             position = position if step.position is None else step.position
             if step.mode == "moving":
-                of_one = self.step_time + self.frames(step) * self.frame_time + self.evaluation_time(step)
+                frame_time = self.frame_time
+                if self.rig.camera.source == "virtual":  # every frame shows another position
+                    frame_time += RENDERING_TIME[0] * self.pixels
+                of_one = STEP_TIME + self.frames(step) * frame_time + self.evaluation_time(step)
                 measured += [step] * (1 + int(way / step.speed / max(of_one, step.every_s) + _ROUNDING))
             elif step.mode != "none":
                 measured.append(step)
