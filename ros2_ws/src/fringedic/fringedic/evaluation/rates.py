@@ -6,10 +6,13 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError
+from fringedic.wording.arguments import check_arguments
+from fringedic.wording.arguments import dataset as dataset_of
 
 QUANTITIES = ("u", "v", "w", "e_11", "e_22", "e_12")
 
 
+@check_arguments(DatasetError, experiment=dataset_of(over=("step",)))
 def rates(experiment: xr.Dataset) -> xr.Dataset:
     """Return the rates of displacement and strain between neighbouring steps, with their standard deviations.
 
@@ -36,14 +39,19 @@ def rates(experiment: xr.Dataset) -> xr.Dataset:
 
     Examples
     --------
-    >>> import fringedic
-    >>> with fringedic.open_experiment("recordings/pull/results.nc") as experiment:
-    ...     speed = rates(experiment).v_rate.median(("row", "column"))
+    >>> maps = ("step", "row", "column")
+    >>> u = xr.DataArray([[[1e-6]], [[3e-6]]], dims=maps, attrs={"units": "m"})
+    >>> times = np.array([0, 2 * 10**9], "datetime64[ns]")
+    >>> experiment = xr.Dataset({"u": u, "sigma_u": (maps, [[[1e-7]], [[1e-7]]]), "reference_step": ("step", [0, 0])})
+    >>> found = rates(experiment.assign_coords(step=[1, 2], time=("step", times)))
+    >>> round(float(found.u_rate[0, 0, 0]), 12), float(found.sigma_u_rate[0, 0, 0])
+    (1e-06, 5e-08)
     """
     present = [name for name in QUANTITIES if name in experiment and f"sigma_{name}" in experiment]
-    if not present or "time" not in experiment or experiment.sizes.get("step", 0) < 2:
-        raise DatasetError("rates need the displacement of two steps or more, and their times")
-    times = experiment["time"].values.astype(np.int64)
+    known = {"time", "reference_step"} <= {*experiment.variables}
+    if not present or not known or experiment.sizes["step"] < 2 or experiment["time"].dtype.kind not in "Mi":
+        raise DatasetError("rates need the displacement of two steps or more, their times and their references")
+    times = experiment["time"].values.astype("datetime64[ns]").astype(np.int64)
     seconds = 1e-9 * np.diff(times)
     reference = experiment["reference_step"].values
     valid = (seconds > 0) & (reference[1:] == reference[:-1])
