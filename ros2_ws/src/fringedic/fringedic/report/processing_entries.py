@@ -164,8 +164,8 @@ def _motion_entries(data: ReportData) -> list[Entry]:
     moving = np.isin(dataset["step"].values, data.exposures.moving)
     entries = [Entry("steps measured in motion", f"{moving.sum()} of {moving.size}", "at the middle of their stacks")]
     if "position" in dataset and moving.sum() > 1:
-        seconds = 1e-9 * np.diff(dataset["time"].values[moving].astype("datetime64[ns]").astype(np.int64))
-        speeds = 1e3 * np.diff(dataset["position"].values[moving]) / seconds
+        passed = np.diff(dataset["time"].values[moving].astype("datetime64[ns]")) / np.timedelta64(1, "s")
+        speeds = 1e3 * np.diff(dataset["position"].values[moving]) / passed
         entries.append(
             Entry(
                 "speed of the crosshead",
