@@ -55,7 +55,7 @@ def test_an_evaluation_is_made_beside_the_results_and_opened(site: Site, cookie:
         other = site.login()
         assert "drives" in post(site, "run", {"name": "x", "settings": {}}, other).message
         assert "another evaluation" in post(site, "run", {"name": "x", "settings": {}}, cookie).message
-        until = time.monotonic() + 120
+        until = time.monotonic() + 300
         while listed(site, cookie)["job"]["state"] == "runs":
             assert time.monotonic() < until
             time.sleep(0.3)
