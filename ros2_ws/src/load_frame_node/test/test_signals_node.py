@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -212,6 +213,23 @@ def test_a_serial_line_at_1_khz_loses_nothing() -> None:
     assert stamps == sorted(stamps)
     assert begin < stamps[0] + 10**9
     assert stamps[-1] <= time.time_ns()
+
+
+def test_lines_that_come_at_once_have_stamps_in_their_order() -> None:
+    """At 50 baud each line takes a second: as many within moments come from a device that is not bound to the rate."""
+    line = Line()
+    source = SerialSource(SerialSignal(device=line.device, unit="1", baud_rate=50))
+    assert source.read() == []
+    line.print("x\n")
+    readings = []
+    for first in range(0, 30, 10):
+        line.print("".join(f"{number}\n" for number in range(first, first + 10)))
+        while len(readings) < first + 10:
+            readings += source.read()
+    assert [each.value for each in readings] == list(range(30))
+    assert all(after.stamp_ns > before.stamp_ns for before, after in itertools.pairwise(readings))
+    source.close()
+    line.close()
 
 
 def read_often(source: SerialSource) -> None:

@@ -158,9 +158,10 @@ def _structure(layout: ExportLayout) -> list[str]:
         time = f"{layout.interval:g} s between two rows"
     elif layout.time_kind != "number":
         time += f", {layout.time_kind}{f' ({layout.time_order})' if layout.time_order else ''}"
+    sign = "comma" if layout.decimal == "," else "point"
     return [
         f"text: {layout.encoding}, separated by {separators.get(layout.separator, repr(layout.separator))}, decimal "
-        f"sign {layout.decimal}, values in the lines {layout.first_line} to {layout.last_line}",
+        f"{sign}, values in the lines {layout.first_line} to {layout.last_line}",
         f"time: {time}",
         *(
             f"{name}: column {column.number} {column.heading}"

@@ -177,7 +177,7 @@ def test_what_is_wrong_is_a_sentence_and_nothing_is_written(
 def test_command_shows_structure_and_clock(run: Path, machine_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     app(["attach", str(run), str(machine_file)], standalone_mode=False)
     said = " ".join(capsys.readouterr().out.split())
-    assert "text: cp1252, separated by semicolon, decimal sign ," in said
+    assert "text: cp1252, separated by semicolon, decimal comma" in said
     assert "force: column 2 Prüfkraft [kN], kN to N" in said
     assert re.search(r"clock of the file: \+3607\.\d+ s ± [\d.]+ ms, drift", said)
     assert (run / "bag_attached/machine.csv.clock.png").stat().st_size > 10_000

@@ -33,6 +33,7 @@ class SerialSource:
         self._port: serial.Serial | None = None
         self._buffer = b""
         self._is_first = True
+        self._latest_ns = 0  # stamp of the latest reading
 
     def read(self) -> Sequence[Reading]:
         """Return the readings of the lines that are complete.
@@ -82,6 +83,10 @@ class SerialSource:
             text = line.decode("latin-1").strip()
             if text:
                 found.append(Reading(now - round(later * of_byte), self._number(text)))
+        # a device on USB is not bound to the rate of the line, and may send at once what it has kept
+        for place, each in enumerate(reversed(found)):
+            self._latest_ns = max(self._latest_ns + 1, each.stamp_ns)
+            found[-1 - place] = each._replace(stamp_ns=self._latest_ns)
         return found[::-1]
 
     def _number(self, text: str) -> float:
