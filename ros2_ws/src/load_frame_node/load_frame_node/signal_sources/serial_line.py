@@ -18,14 +18,17 @@ _WAIT_S = 0.05
 _LONGEST_LINE = 4096  # byte
 _ANY_SEPARATOR = re.compile(r"[\s;]+")
 _NUMBER = re.compile(r"[-+]?\s*(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_PLAIN = re.compile(r"-?\d+(\.\d*)?")
+_FAST_HZ = 200.0
+_READINGS_AT_ONCE = 20  # of a fast device
 _BIT_PER_BYTE = 10  # of a line with 8 data bits, one start bit and one stop bit
 
 
 class SerialSource:
     """Readings from the lines of a serial device; one that was lost is opened again.
 
-    The time of a line is that of its first byte at this computer: the arrival of the bytes, less the time that those
-    after it took.
+    The time of a line is that of its first byte: the arrival of the bytes, less the time that those after it took on
+    the line. A fast device is read every few readings; the lines of one read are spread over the time since the last.
     """
 
     def __init__(self, settings: SerialSignal, _node: Any = None) -> None:
@@ -34,6 +37,8 @@ class SerialSource:
         self._buffer = b""
         self._is_first = True
         self._latest_ns = 0  # stamp of the latest reading
+        self._pause_s = _READINGS_AT_ONCE / settings.rate_hz if settings.rate_hz >= _FAST_HZ else 0.0
+        self._read_ns = 0  # time of the latest read
 
     def read(self) -> Sequence[Reading]:
         """Return the readings of the lines that are complete.
@@ -50,12 +55,15 @@ class SerialSource:
                 )
                 self._port.reset_input_buffer()
                 self._buffer, self._is_first = b"", True
+            time.sleep(self._pause_s)
             data = self._port.read(max(1, self._port.in_waiting))
         except (OSError, ValueError, TypeError) as error:  # PySerial raises each of them for a lost device
             self.close()
             time.sleep(_WAIT_S)
             raise MachineGoneError(f"{self._settings.device}: {cause_of(error)}") from error
         now = time.time_ns()
+        since, self._read_ns = now - self._read_ns, now
+        spread = min(since, 1e9 * self._pause_s) / max(len(data), 1) if self._pause_s else 0.0
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         if len(self._buffer) > _LONGEST_LINE:
             self._buffer = b""
@@ -65,7 +73,7 @@ class SerialSource:
         if lines and self._is_first:  # it began before the device was opened
             self._is_first = False
             lines = lines[1:]
-        return self._readings(lines, now)
+        return self._readings(lines, now, max(spread, 1e9 * _BIT_PER_BYTE / self._settings.baud_rate))
 
     def close(self) -> None:
         """Close the device."""
@@ -73,9 +81,8 @@ class SerialSource:
         if port is not None:
             port.close()
 
-    def _readings(self, lines: Sequence[bytes], now: int) -> list[Reading]:
-        """Return the readings of lines; the last one ended before the bytes that are in the buffer."""
-        of_byte = 1e9 * _BIT_PER_BYTE / self._settings.baud_rate
+    def _readings(self, lines: Sequence[bytes], now: int, of_byte: float) -> list[Reading]:
+        """Return the readings of lines of which a byte took a time [ns]; the buffer came after the last one."""
         later = len(self._buffer)
         found: list[Reading] = []
         for line in reversed(lines):
@@ -98,6 +105,8 @@ class SerialSource:
                 "counted from 0; correct column or separator"
             )
         part = parts[settings.column]
+        if settings.decimal == "." and _PLAIN.fullmatch(part):
+            return float(part)
         match = _NUMBER.search(part.replace(",", ".") if settings.decimal == "," else part)
         if match is None:
             if part.strip().lower() in ("nan", "ovf", "inf", "-inf"):
