@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from fringedic.errors import RecordingError
 from fringedic.signals.signal import Signal
-from fringedic.wording.numbers import number_text
+from fringedic.wording.numbers import counted, number_text
 
 CRYSTAL_DRIFT = 1e-4  # standard uncertainty of the drift between two crystal clocks, before anything is measured
 _BANDWIDTHS = (1.0, 2.0, 4.0, 8.0)  # of the smoothing, in sample intervals of the slower recording
@@ -212,11 +212,16 @@ def _interval(signal: Signal) -> float:
     measured = signal.stamps[np.isfinite(signal.values)]
     steps = np.diff(measured)
     if measured.size < _FEWEST or not (steps > 0).any():
-        raise RecordingError(
-            f"the {signal.channel.name} of {signal.channel.source or 'one recording'} has {measured.size} samples: the "
-            f"clocks need {_FEWEST} or more; use another signal (--by), or give the offset (--offset)"
-        )
+        raise RecordingError(_few_samples(signal, measured.size))
     return 1e-9 * float(np.median(steps[steps > 0]))
+
+
+def _few_samples(signal: Signal, count: int) -> str:
+    owner = signal.channel.source or "one recording"
+    return (
+        f"the {signal.channel.name} of {owner} has {counted(count, 'sample')}: the clocks need {_FEWEST} or more; use "
+        "another signal (--by), or give the offset (--offset)"
+    )
 
 
 def _duration(rig: Signal, file: Signal) -> float:
@@ -235,6 +240,8 @@ def _series(signal: Signal, slower: float) -> _Series:
     _, place, counts = np.unique(bins, return_inverse=True, return_counts=True)
     if counts.size < time.size:
         time, value = (np.bincount(place, weights=each) / counts for each in (time, value))
+    if time.size < _FEWEST:
+        raise RecordingError(_few_samples(signal, time.size))
     order = np.argsort(time, kind="stable")
     time, value = time[order], value[order]
     before, after = time[1:-1] - time[:-2], time[2:] - time[1:-1]
@@ -444,6 +451,8 @@ def _refuse_jumps(rig: _Series, file: _Series, slower: float) -> None:
 def _fit_alone(rig: _Series, part: _Series, slower: float, width: float) -> _Fit | None:
     """Fit a part of a file; None if it does not fix the clock."""
     begin = part.time[0]
+    if part.time.size < _FEWEST:
+        return None
     try:
         start = _coarse_offset(rig, part._replace(time=part.time - begin), slower) + begin
     except RecordingError:

@@ -120,6 +120,9 @@ def test_few_samples_are_told() -> None:
     short = Signal(file.channel._replace(source="machine.csv"), file.stamps[:5], file.values[:5], file.sigmas[:5])
     with pytest.raises(RecordingError, match=r"the force of machine\.csv has 5 samples: the clocks need 12 or more"):
         align_clocks(rig, short)
+    dense = Signal(short.channel, file.stamps[0] + np.arange(40), file.values[:40], file.sigmas[:40])
+    with pytest.raises(RecordingError, match=r"has 1 sample: the clocks need 12 or more"):
+        align_clocks(rig, dense)
 
 
 def test_a_clock_that_jumps_in_a_pause_of_the_file_is_told() -> None:
