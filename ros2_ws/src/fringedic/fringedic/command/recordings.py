@@ -143,6 +143,7 @@ def info(bag: Place, sensor: Sensor = None) -> None:
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.recording.sentences import clock_sentences, content_sentences, next_command, programme_sentences
+    from fringedic.signals import attachment_names
     from fringedic.signals.clocks import recorded_clocks
 
     summary = bag_info(bag)
@@ -167,7 +168,9 @@ def info(bag: Place, sensor: Sensor = None) -> None:
         say(choice_of_sensors(bag, sensors), *content_sentences(summary))
         return
     clocks, end = recorded_clocks(bag, sensor), programme_end(bag, sensor)
+    attached = attachment_names(bag)
     say(
+        *([f"attached: {', '.join(attached)}"] if attached else []),
         *clock_sentences(clocks),
         *content_sentences(summary),
         *programme_sentences(end),

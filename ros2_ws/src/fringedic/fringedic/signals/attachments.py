@@ -204,23 +204,39 @@ def _with_sigma(signal: Signal, attachment: Attachment) -> Signal:
 def with_attachments(recorded: Mapping[str, Signal], recording: str | os.PathLike[str]) -> dict[str, Signal]:
     """Return the signals of a recording with those of its attachments.
 
-    A signal whose name is taken by one with samples is called ``name_source``, unless its attachment replaces recorded
-    signals.
+    Attachments of parts of one file, such as those before and after a jump of its clock, are joined. A signal whose
+    name is taken by one with samples is called ``name_source``, unless its attachment replaces recorded signals.
 
     Raises
     ------
     RecordingError
         An attachment cannot be read or was changed.
     """
-    signals = dict(recorded)
+    parts: dict[tuple[str, str], list[Signal]] = {}
+    instead: set[tuple[str, str]] = set()
     for each in attachment_names(recording):
         attached = read_attachment(recording, each)
         for name, signal in attached.signals.items():
-            chosen = name
-            while chosen in signals and signals[chosen].stamps.size and not attached.attachment.instead:
-                chosen += f"_{signal.channel.source}"
-            signals[chosen] = replace(signal, channel=signal.channel._replace(name=chosen))
+            key = attached.attachment.sha256, name
+            parts.setdefault(key, []).append(signal)
+            instead |= {key} if attached.attachment.instead else set()
+    signals = dict(recorded)
+    for key, found in parts.items():
+        joined = _joined(found)
+        name = key[1]
+        while name in signals and signals[name].stamps.size and key not in instead:
+            name += f"_{joined.channel.source}"
+        signals[name] = replace(joined, channel=joined.channel._replace(name=name))
     return signals
+
+
+def _joined(parts: list[Signal]) -> Signal:
+    """Return the samples of parts in the order of their stamps, with the channel of the first part."""
+    stamps, values, sigmas = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("stamps", "values", "sigmas")
+    )
+    order = np.argsort(stamps, kind="stable")
+    return Signal(parts[0].channel, stamps[order], values[order], sigmas[order])
 
 
 def attach(  # noqa: PLR0913 (options of a public function, all by keyword)

@@ -129,6 +129,16 @@ def test_it_is_replaced_and_removed(run: Path, machine_file: Path) -> None:
     assert read_log(run).entries[-1].files["bag_attached/machine.csv"][1] is None
 
 
+def test_parts_of_one_file_are_one_signal(run: Path, machine_file: Path) -> None:
+    bag, whole = run / "bag", machine_file.read_text("cp1252").count("\n")
+    for name, lines in (("b.csv", (301, whole + 1)), ("a.csv", (1, 300))):
+        attach(bag, machine_file, name=name, options=ExportOptions(lines=lines), offset=(OFFSET, 0.01))
+    signals = with_attachments(recorded_signals(bag), bag)
+    assert sorted(signals) == ["force", "force_a", "position", "probe"]
+    assert signals["probe"].stamps.size == whole
+    assert np.diff(signals["probe"].stamps).min() > 0
+
+
 def test_a_changed_file_is_refused(run: Path, machine_file: Path) -> None:
     attach(run / "bag", machine_file)
     copy = attachment_folder(run / "bag") / "machine.csv"
