@@ -21,12 +21,14 @@ from fringedic_ros.testing import child_pid
 
 WAIT_MS = 240_000  # for a procedure on a busy computer
 VIEWS = {
+    "tests": ".tests",
     "setup": "#item-axes",
     "live": "#pattern",
     "run": "#run",
     "maps": "canvas.map",
     "curves": "#curve-x",
     "space": "#space",
+    "compare": "#test-0",
     "log": "#nodes",
 }
 

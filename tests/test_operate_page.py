@@ -35,6 +35,7 @@ from running_system import free_port
 from viewer import LAYOUT, Viewer, drawn, viewing
 
 import fringedic
+from fringedic.datasets.attributes import recorded_metadata
 from fringedic.frames.region import Region
 from fringedic_ros.serialized import message_type
 from fringedic_ros.testing import node_pids
@@ -112,6 +113,9 @@ def test_region_is_drawn_by_clicks_and_used(page: Page, operated: Operated) -> N
 def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_is_killed(
     page: Page, operated: Operated
 ) -> None:
+    view(page, "run")
+    page.fill("#test-specimen", "plate 7")
+    page.fill("#test-width-mm-", "25,5")
     start_programme(page, FIVE_STEPS)
     page.click("#pause")
     expect(page.locator("#resume")).to_be_visible()
@@ -121,9 +125,12 @@ def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_i
     os.kill(operated.page_process(), signal.SIGKILL)
     expect(page.locator("#message")).to_contain_text("The measurement goes on without it")
     expect(page.locator("#message")).to_be_hidden(timeout=WAIT_MS)
-    assert finished(page).startswith("5 steps in five-")
-    [folder] = (operated.folder / "recordings").glob("five-*")
+    assert finished(page).startswith("5 steps in plate-7-")
+    expect(page.locator("#title")).to_have_text("rig – plate 7")
+    [folder] = (operated.folder / "recordings").glob("plate-7-*")
     with fringedic.open_experiment(folder / "bag") as run:
+        specimen = recorded_metadata(run).specimen
+        assert (specimen.name, specimen.entries) == ("plate 7", {"width [mm]": 25.5})
         assert run.step.values.tolist() == [0, 1, 2, 3, 4]
         assert not any(run.error.values)
         again = fringedic.process_bag(folder / "bag", output=operated.folder / "again.nc")
@@ -147,6 +154,14 @@ def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_i
     report = page.request.get(page.url.partition("#")[0] + "files/run/report.html")
     assert report.ok
     assert report.headers["content-security-policy"].startswith("sandbox")
+    page.check("#over")
+    expect(page.locator("canvas.below")).to_be_visible()
+    view(page, "tests")
+    row = page.locator(f"tr[data-key='{folder.name}']")
+    expect(row).to_contain_text("5 steps measured")
+    row.locator("a.open").click()
+    expect(page.locator("#opened")).to_contain_text("Earlier test: plate 7")
+    expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("step 4"))
 
 
 def test_programme_without_its_driver_pauses_and_another_browser_stops_it(

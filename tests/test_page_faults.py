@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import shutil
 import struct
 import threading
 import time
@@ -19,9 +20,14 @@ import pytest
 from browser import opened
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, wait_until
-from served import TOKEN, Site, SmallRig, served
+from served import TOKEN, Site, SmallRig, served, write_test
 
+from fringedic.configuration.programme_check import parse_programme
+from fringedic.configuration.test_series import Series
 from fringedic.errors import OperatorError
+from fringedic.report.page_server.marks import KeepMarks, Marks, load_marks
+from fringedic.report.page_server.recorded import RecordedRig
+from operator_node import rig_file
 from operator_node.rig_file import ShownRigFile
 
 pytestmark = pytest.mark.browser
@@ -42,7 +48,12 @@ class ShownRig(SmallRig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.file = ShownRigFile(CONFIG / "tiny.yaml")
+        shutil.copyfile(CONFIG / "tiny.yaml", self.folder / "tiny.yaml")
+        self.file = ShownRigFile(self.folder / "tiny.yaml")
+        recordings = self.folder / "recordings"
+        for number, stretch in ((7, 1e-3), (8, 2e-3)):
+            answers = {"specimen": f"plate {number}", "operator": "M. Weber", "width [mm]": 20.0 + number}
+            write_test(recordings, f"plate-{number}", answers, stretch=stretch)
         self.reset()
 
     def reset(self) -> None:
@@ -63,6 +74,10 @@ class ShownRig(SmallRig):
             "hand": "",
             "figures": None,
             "tests": [],
+            "marks": {"marks": [], "notes": {}},
+            "series": self.file.series(),
+            "rigs": [],
+            "alarms": [],
         }
         self.commands.clear()
         self.delay_s, self.refusal = 0.0, ""
@@ -87,7 +102,22 @@ class ShownRig(SmallRig):
         if self.refusal:
             raise OperatorError(self.refusal)
         self.commands.append(command)
+        if isinstance(command, KeepMarks) and command.test:
+            return await self.opened(command.test).do(command.model_copy(update={"test": ""}))
         return "started"
+
+    def opened(self, test: str) -> RecordedRig:
+        return self.file.opened(test)
+
+    def show_tests(self) -> None:
+        """Show the tests in the folder of the rig file, when their datasets have been read."""
+
+        def tests() -> list[dict[str, Any]]:
+            self.file.shown()
+            return self.file.shown_tests()
+
+        wait_until(lambda: [each["verdict"] for each in tests()] == ["3 steps measured"] * 2, "the datasets")
+        self.show(tests=tests(), rigs=self.file.rigs())
 
     def folders(self) -> dict[str, Path]:
         return {f"test {each['name']}": self.folder for each in self.state["tests"]}
@@ -96,7 +126,8 @@ class ShownRig(SmallRig):
 @pytest.fixture(scope="module")
 def site(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     del browser  # nothing is started where there is none
-    with served(tmp_path_factory.mktemp("page"), ShownRig) as running:
+    with pytest.MonkeyPatch.context() as patch, served(tmp_path_factory.mktemp("page"), ShownRig) as running:
+        patch.setattr(rig_file, "LOOK_S", 0.0)
         yield running
 
 
@@ -199,6 +230,7 @@ BUTTONS: dict[str, tuple[str, dict[str, Any], list[str]]] = {  # view, state of 
 
 def press(page: Page, selector: str, duration_s: float) -> None:
     """Press and release the mouse over the middle of a button, as a hand does: nothing waits for the button."""
+    page.locator(selector).scroll_into_view_if_needed()
     box = page.locator(selector).bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -390,11 +422,11 @@ def test_a_result_that_is_not_in_use_can_still_be_used_after_the_next_procedure(
 def test_tests_and_their_reports_are_listed(page: Page, rig: ShownRig) -> None:
     (rig.folder / "report.html").write_text("the report")
     rig.show(tests=[{"name": "five-1", "when": 1.0, "report": True}, {"name": "six-2", "when": 0.0, "report": False}])
-    view(page, "run")
-    href = page.locator("#tests a").first.get_attribute("href")
+    view(page, "tests")
+    href = page.locator(".tests a", has_text="report").get_attribute("href")
     assert href is not None
     assert page.request.get(page.url.partition("/#")[0] + href).text() == "the report"
-    expect(page.locator("#tests")).to_contain_text("six-2")
+    expect(page.locator(".tests")).to_contain_text("six-2")
 
 
 def test_the_state_that_is_shown_is_true(page: Page, rig: ShownRig) -> None:
@@ -448,7 +480,237 @@ def test_the_keyboard_goes_on_at_the_item_that_was_opened(page: Page, rig: Shown
     expect(page.locator("#item-timing .use-result")).to_be_focused()
 
 
+def test_a_hold_that_nothing_would_receive_is_not_sent(page: Page, rig: ShownRig) -> None:
+    """The button waited ten seconds for a service that no node has."""
+    rig.show(rig={"machine": False, "load_frame": True})
+    expect(page.locator("#hold")).to_have_attribute("aria-disabled", "true")
+    page.click("#hold", force=True)
+    expect(page.locator("#message")).to_contain_text("stop the machine at its own controls")
+    assert not rig.commands
+    rig.show(procedure=procedure("run", RUNNING))
+    expect(page.locator("#hold")).not_to_have_attribute("aria-disabled", "true")
+    page.click("#hold")
+    wait_until(lambda: rig.commands, "the command, which waits for the service of a node that starts")
+
+
+def test_what_is_typed_arrives_whatever_messages_come(page: Page, site: Site, rig: ShownRig) -> None:
+    """A field that lies in a row was moved with every message, and lost the focus."""
+    rig.show(setup=[ITEM | {"item": "timing", "state": 0, "next": "Measure."}])
+    for name, field, text in (("setup", "#exposure_ms", "12.345"), ("run", "#test-specimen", "plate 7, left")):
+        view(page, name)
+        if name == "setup":
+            page.click("#item-timing >> text=Open")
+        page.fill(field, "")
+        with messages(site):
+            page.click(field)
+            page.keyboard.type(text, delay=30)
+            expect(page.locator(field)).to_be_focused()
+        expect(page.locator(field)).to_have_value(text)
+
+
+# tests
+
+
+def test_an_earlier_test_is_found_opened_and_left(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    rig.show(**map_state(0))
+    view(page, "tests")
+    expect(page.locator("img.small")).to_have_count(2)
+    assert page.locator("img.small").first.evaluate("each => each.decode().then(() => each.naturalWidth)") == 20
+    expect(page.locator("#rigs")).to_contain_text("tiny.yaml, 2 tests")
+    page.fill("#search", "weber 28")
+    expect(page.locator("a.open")).to_have_text(["plate-8"])
+    page.click("a.open")
+    expect(page.locator("#opened")).to_contain_text("Earlier test: plate 8, plate-8")
+    page.select_option("#quantity", "u")
+    expect(page.locator("#step option")).to_have_count(3)
+    click = page.locator("canvas.map")
+    expect(click).to_have_attribute("aria-label", re.compile("displacement along x, step 2"))
+    click.hover(position={"x": 1, "y": 1})
+    expect(page.locator("#position")).to_have_text("x = 0 mm, y = 0 mm")
+    view(page, "curves")
+    expect(page.locator("circle.dot")).to_have_count(3)
+    page.goto(page.url.partition("#")[0] + "#maps&test=plate-7")
+    expect(page.locator("#opened")).to_contain_text("plate-7")
+    page.click("#close-test")
+    expect(page.locator("#opened")).to_be_hidden()
+    expect(page.locator("#step option")).to_have_count(1)
+
+
+def test_two_tests_are_compared(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    view(page, "tests")
+    page.fill("#search", "")
+    for name in ("plate-7", "plate-8"):
+        page.click(f"tr[data-key={name}] >> text=Compare")
+    expect(page.locator("#compare-tests")).to_have_text("Compare (2 chosen)")
+    page.click("#compare-tests")
+    expect(page.locator("polyline.curve")).to_have_count(2)
+    expect(page.locator("#entries tr", has_text="width [mm]")).to_have_text("width [mm]2728")
+    page.select_option("#compare-quantity", "u")
+    maps = page.locator("canvas.map")
+    expect(maps.nth(1)).to_have_attribute("aria-label", re.compile("u of plate-8, step 2"))
+    maps.nth(0).hover()
+    values = [float(each.split()[0]) for each in page.locator("p.readout").all_inner_texts()]
+    assert values[1] == pytest.approx(2 * values[0], rel=1e-3), "the same point, with twice the strain"
+
+
+def test_a_test_and_a_series_begin_with_the_answers_of_the_form(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    view(page, "run")
+    page.click("#as-last")
+    expect(page.locator("#test-operator")).to_have_value("M. Weber")
+    page.fill("#test-width-mm-", "wide")
+    page.click("#run")
+    page.wait_for_timeout(100)
+    assert not rig.commands
+    page.fill("#test-width-mm-", "24,8")
+    page.fill("#test-specimen", "plate 9")
+    page.click("#run")
+    wait_until(lambda: rig.commands, "the command")
+    answers = {"specimen": "plate 9", "operator": "M. Weber", "width [mm]": 24.8}
+    assert rig.commands[-1].options == {"test": answers}
+    page.click("#series-fold summary")
+    page.fill("#series-names", "plate 8\n\nplate 10\n")
+    page.click("#plan-series")
+    wait_until(lambda: len(rig.commands) == 2, "the series")
+    series = Series(**rig.commands[-1].model_dump())
+    assert (series.specimens, series.answers) == (["plate 8", "plate 10"], answers)
+    rig.file.plan_series(series)
+    rig.show(series=rig.file.series())
+    view(page, "tests")
+    expect(page.locator("#series li").first).to_contain_text("plate-8: 3 steps measured")
+    page.locator("#series li").nth(1).locator("button").click()
+    wait_until(lambda: len(rig.commands) == 3, "the test")
+    assert rig.commands[-1].options == {"test": answers | {"specimen": "plate 10"}}
+    rig.file.plan_series(Series())
+
+
+def test_form_and_text_are_one_programme(page: Page) -> None:
+    view(page, "run")
+    page.check("#own")
+    page.fill("#programme", "{experiment: pull, ramp: {to_mm: 0.4, steps: 3}, on_operator_lost: hold}")
+    field = page.locator("#form [data-key=to_mm]")
+    expect(field).to_have_value("0.4")
+    field.fill("0,6")
+    field.press("Tab")
+    expect(page.locator("#form [data-key=steps]").first).to_be_focused()
+    expect(page.locator("#programme")).to_have_value(re.compile("to_mm: 0.6"))
+    page.click("#form .add-cycle")
+    expect(page.locator("#form fieldset")).to_have_count(4)
+    page.fill("#form [data-key=times]", "2")
+    position = page.locator("#form [data-key=position_mm]").first
+    position.fill("5")
+    position.press("Tab")
+    expect(page.locator("#problem")).to_contain_text("to 5 mm, outside 0 to")
+    position.fill("0.5")
+    position.press("Tab")
+    expect(page.locator("#plan summary")).to_have_text("Steps: 7")
+    written = parse_programme(page.locator("#programme").input_value())
+    assert written == parse_programme(
+        "{experiment: pull, on_operator_lost: hold, steps: [{ramp: {to_mm: 0.6, steps: 3}}, {cycle: {times: 2, steps: "
+        "[{position_mm: 0.5}, {position_mm: 0}]}}]}"
+    )
+    page.fill("#programme", "ramp: [")
+    expect(page.locator("#form")).to_contain_text("when the text can be read")
+    expect(page.locator("#run")).to_be_disabled()
+    page.fill("#programme", "{steps: [{hold_s: 5, mode: none}, {}]}")
+    expect(page.locator("#form legend")).to_have_text(["Hold", "Step"])
+    page.check("#of-file")
+
+
+def test_limits_that_request_a_hold_are_set(page: Page, rig: ShownRig) -> None:
+    force = {"name": "force", "value": 1.0, "factor": 1, "unit": "N", "source": ""}
+    rig.show(rig={"load_frame": True}, signals=[force])
+    view(page, "run")
+    page.fill("#alarm-above", "450,5")
+    page.click("#set-alarm")
+    wait_until(lambda: rig.commands, "the command")
+    alarm = {"signal": "force", "below": None, "above": 450.5}
+    assert rig.commands[-1].model_dump() == {"alarms": [alarm]}
+    rig.show(alarms=[alarm | {"reached": "force 451 N reached its limit 450.5; a hold was requested"}])
+    expect(page.locator("#alarms")).to_contain_text("a hold was requested")
+
+
 # maps
+
+
+def test_marks_and_notes_are_kept_with_their_test(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    page.goto(page.url.partition("#")[0] + "#maps&test=plate-7")
+    expect(page.locator("#opened")).to_be_visible()
+    page.select_option("#quantity", "u")
+    page.select_option("#step", "1")
+    expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("along x, step 1"))
+    page.select_option("#tool", "area")
+    box = page.locator("canvas.map").bounding_box()
+    assert box is not None
+    places = ((0.1, 0.1), (0.6, 0.1), (0.6, 0.8))
+    corners = [(box["x"] + across * box["width"], box["y"] + down * box["height"]) for across, down in places]
+    for corner in corners[:-1]:
+        page.mouse.click(*corner)
+    page.mouse.dblclick(*corners[-1])
+    page.fill("#mark-name", "left")
+    page.click("#keep-mark")
+    row = page.locator("#marks tr[data-key=left]")
+    expect(row).to_contain_text("area")
+    expect(row.locator("td").nth(5)).to_have_text("100 %")
+    row.get_by_text("Curve").click()
+    expect(page.locator("#marks circle.dot")).to_have_count(3)
+    page.fill("#note", "a crack begins")
+    page.press("#note", "Tab")
+    expect(page.locator("#message")).to_contain_text("kept with the test")
+    page.select_option("#step", "2")
+    expect(page.locator("#note")).to_have_value("")
+    page.reload()
+    page.select_option("#step", "1")
+    expect(page.locator("#note")).to_have_value("a crack begins")
+    expect(page.locator("text.name")).to_have_text("left")
+    kept = load_marks(rig.folder / "recordings" / "plate-7")
+    assert [(each.name, each.kind, len(each.points)) for each in kept.marks] == [("left", "area", 3)]
+    Marks().save(rig.folder / "recordings" / "plate-7")
+
+
+SHOWN_LABELS = """() => {
+    const map = document.querySelector("canvas.map");
+    window.labels = [];
+    const keep = () => { if (window.labels.at(-1) !== map.ariaLabel) window.labels.push(map.ariaLabel); };
+    new MutationObserver(keep).observe(map, { attributeFilter: ["aria-label"] });
+}"""
+
+
+def test_a_map_is_magnified_over_the_image_with_isolines(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    page.goto(page.url.partition("#")[0] + "#maps&test=plate-7")
+    page.select_option("#quantity", "u")
+    page.check("#isolines")
+    page.check("#over")
+    expect(page.locator("canvas.below")).to_be_visible()
+    expect(page.locator("path.isoline")).to_have_attribute("d", re.compile("^M"))
+    expect(page.locator("#isoline-step")).to_contain_text("Isolines every")
+    frame = page.locator(".picture.zoomed").bounding_box()
+    assert frame is not None
+    place = frame["x"] + 0.52 * frame["width"], frame["y"] + 0.54 * frame["height"]
+    page.mouse.move(*place)
+    before = page.locator("#readout").inner_text()
+    page.mouse.wheel(0, -700)
+    expect(page.locator(".moved")).to_have_attribute("style", re.compile(r"scale\(4"))
+    page.mouse.move(0, 0)
+    page.mouse.move(*place)
+    assert page.locator("#readout").inner_text() == before, "the place under the pointer stays"
+    page.mouse.down()
+    page.mouse.move(place[0] + 200, place[1], steps=4)
+    page.mouse.up()
+    page.mouse.move(*place)
+    assert page.locator("#readout").inner_text() != before, "the map was moved"
+    page.click("#zoom-whole")
+    page.evaluate(SHOWN_LABELS)
+    page.click("#play")
+    page.wait_for_function("window.labels.length >= 3")
+    assert [label.partition(";")[0][-1] for label in page.evaluate("window.labels")] == ["0", "1", "2"]
+    expect(page.locator("#play")).to_have_text("Play")
+    page.uncheck("#isolines")
+    page.uncheck("#over")
 
 
 def map_state(*steps: int) -> dict[str, Any]:
@@ -548,7 +810,7 @@ def test_region_is_edited_and_kept(page: Page, site: Site, rig: ShownRig) -> Non
     view(page, "setup")
     page.click("#item-region >> text=Open")
     site.server.publish("image", picture)
-    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", re.compile("[0-9]"))
+    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", "1")
     assert corners(page) == 4, "the region in force is edited"
     box = page.locator("canvas.camera").bounding_box()
     assert box is not None
@@ -582,7 +844,29 @@ def test_region_is_edited_and_kept(page: Page, site: Site, rig: ShownRig) -> Non
     assert saved[0]["points"][1] == pytest.approx([100, 100], abs=0.5)
 
 
-def picture() -> bytes:
+def test_region_is_drawn_on_an_image_in_white_light(page: Page, site: Site, rig: ShownRig) -> None:
+    rig.show(setup=[ITEM | {"item": "region", "state": 0, "next": "Draw."}])
+    view(page, "setup")
+    page.click("#item-region >> text=Open")
+    site.server.publish("image", picture)
+    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", "1")
+    view(page, "run")
+    rig.show(live=procedure("live", RUNNING, pattern="fringes"))
+    view(page, "live")
+    expect(page.locator("#live-state")).to_contain_text("fringes")
+    view(page, "setup")
+    wait_until(lambda: rig.commands, "white light")
+    assert (rig.commands[-1].procedure, rig.commands[-1].pattern) == ("live", "white")
+    site.server.publish("image", lambda: picture(2.0))
+    expect(page.locator(".region p")).to_contain_text("the last image in white light")
+    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", "1")
+    rig.show(live=procedure("live", RUNNING, pattern="white"))
+    expect(page.locator("#region-white")).to_have_count(0)
+    site.server.publish("image", lambda: picture(3.0))
+    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", "3")
+
+
+def picture(stamp: float = 1.0) -> bytes:
     """Return a grey image of the camera, as the operator node does."""
     jpeg = cv2.imencode(".jpg", np.full((120, 160), 128, np.uint8))[1].tobytes()
-    return struct.pack("<IId", 160, 120, 1.0) + jpeg
+    return struct.pack("<IId", 160, 120, stamp) + jpeg

@@ -61,6 +61,9 @@ class SpecimenMetadata(_Entries):
     )
     force_sign: Literal[1, -1] = Field(1, description="-1 if the load cell reports tension as negative.")
     gauges_px: list[Gauge] = Field([], description="Virtual extensometers of the report, in the reference image.")
+    entries: dict[str, str | float] = Field(
+        {}, description="Other entries by their names with unit, such as those of `test_form`."
+    )
 
     @model_validator(mode="before")
     @classmethod

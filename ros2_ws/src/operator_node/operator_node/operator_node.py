@@ -28,14 +28,18 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from fringedic.configuration.test_series import Series
+from fringedic.configuration.yaml_section import validate
 from fringedic.datasets.opening import RESULTS
 from fringedic.datasets.quantities import MAPS
 from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
 from fringedic.frames.sensor import file_of
-from fringedic.report.page_server.app import Control, Hold, Measure, Start
+from fringedic.report.page_server.app import Control, Hold, Measure, PlanSeries, SetAlarms, Start
 from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described
+from fringedic.report.page_server.marks import KeepMarks, shown_marks
+from fringedic.report.page_server.recorded import RecordedRig
 from fringedic.report.page_server.server import Address, PageServer
 from fringedic.signals import SignalCollector
 from fringedic_msgs.action import MeasureStep
@@ -62,6 +66,7 @@ from fringedic_ros.serialized import image_view
 from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
+from operator_node.alarms import Alarms
 from operator_node.rig_file import ShownRigFile
 from operator_node.rig_state import RigState
 
@@ -103,8 +108,10 @@ class OperatorNode(RigNode):
         self._maps = SpooledMaps(Path(parameters.maps_folder or tempfile.mkdtemp(prefix="fringedic-maps-")))
         self._folders: dict[str, Path] = {}
         self._running: list[dict[str, Any]] = []  # steps of the programme that was started last
+        self._texture: bytes | None = None  # the latest one
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._signals = SignalCollector(longest=1)
+        self._alarms = Alarms()
         self._worker = Worker(self)
         self._subscribe()
         self._starts = self.create_client(StartProcedure, "procedures/start")
@@ -147,6 +154,7 @@ class OperatorNode(RigNode):
         self._topics = [(PolledTopic[Any](self, kind, topic, qos), take) for kind, topic, take, qos in topics]
         # the bytes: only the few frames that are shown are decoded
         self._images = PolledTopic[bytes](self, Image, "camera/image_raw", PREVIEWS, raw=True)
+        self._textures = PolledTopic[bytes](self, Image, "phase/texture", DERIVED, raw=True)
 
     # what the page shows, as of `fringedic.report.page_server.app.Rig`
 
@@ -162,8 +170,11 @@ class OperatorNode(RigNode):
         measured = {name for of_step in names.values() for name in of_step}
         found["quantities"] = [described(name) for name in MAPS if name in measured]
         shown = {} if self._file is None else self._file.shown()
-        tests = {} if self._file is None else self._file.tests()
-        found["tests"] = [{"name": name, "when": each.when, "report": each.has_report} for name, each in tests.items()]
+        found["tests"] = [] if self._file is None else self._file.shown_tests()
+        found["rigs"] = [] if self._file is None else self._file.rigs()
+        found["series"] = {} if self._file is None else self._file.series()
+        found["marks"] = shown_marks(self._folders["run"]) if "run" in self._folders else {}
+        found["alarms"] = self._alarms.shown()
         found["rig"] = {
             "kind": "rig",
             "title": self.get_namespace().strip("/") or "rig",
@@ -184,11 +195,28 @@ class OperatorNode(RigNode):
         """Return why nothing else may be computed now; "" when it may."""
         return "a procedure runs on the rig: evaluate and export when it has ended" if self._state.is_busy else ""
 
+    def opened(self, test: str) -> RecordedRig:
+        """Return an earlier test of the rig file."""
+        return self._shown_file().opened(test)
+
+    def _shown_file(self) -> ShownRigFile:
+        if self._file is None:
+            raise OperatorError("this page was started without a rig file: start it with 'fringedic operate RIG.yaml'")
+        return self._file
+
     async def do(self, command: Any) -> str:
         """Execute a command of the page."""
+        if isinstance(command, KeepMarks):
+            return await self._keep_marks(command)
+        if isinstance(command, SetAlarms):
+            return self._alarms.set(command.alarms)
+        if isinstance(command, PlanSeries):
+            series = validate(Series, command.model_dump(), "series")
+            await asyncio.to_thread(self._shown_file().plan_series, series)
+            return f"{len(series.specimens)} specimens are planned" if series.specimens else "the series is removed"
         if isinstance(command, Start):
             request = command.model_dump() | {"options": json.dumps(command.options)}  # which is YAML as well
-            checked = await self.check(command.text) if command.procedure == "run" else {}
+            checked = await self.check(self._text_that_runs(command)) if command.procedure == "run" else {}
             answer = await self._called(self._starts, StartProcedure.Request(**request))
             if command.procedure == "run":
                 self._running = checked["rows"]
@@ -208,9 +236,38 @@ class OperatorNode(RigNode):
 
     async def check(self, text: str) -> dict[str, Any]:
         """Return what a programme would do, and why it may not be started."""
-        if self._file is None:
-            raise OperatorError("this page was started without a rig file: start it with 'fringedic operate RIG.yaml'")
-        return await asyncio.to_thread(self._file.check, text)
+        return await asyncio.to_thread(self._shown_file().check, text)
+
+    def _text_that_runs(self, command: Start) -> str:
+        """Return the programme of a run: one that goes on has that of its beginning."""
+        continued = str(command.options.get("continue_run", ""))
+        return (self._shown_file().programme_of(continued) if continued else "") or command.text
+
+    async def _keep_marks(self, command: KeepMarks) -> str:
+        """Keep marks and notes of an earlier test, or of the one that runs or ran last."""
+        if command.test:
+            opened = await asyncio.to_thread(self.opened, command.test)
+            return await opened.do(command.model_copy(update={"test": ""}))
+        if "run" not in self._folders:
+            raise OperatorError("marks and notes are kept with a test: measure one, or open one of the list")
+        await asyncio.to_thread(command.save, self._folders["run"])
+        return "kept with the test"
+
+    def _request_hold(self, reason: str) -> str:
+        """Request a hold of the machine at a limit, and let no further step begin; in the thread of the node."""
+        if self._controls.service_is_ready():
+            self._controls.call_async(ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
+        if not self._holds.service_is_ready():
+            self.get_logger().error(f"{reason}: there is no node of the machine to request a hold of")
+            return "no node of the machine runs: stop it at its own controls"
+        self.get_logger().warning(f"{reason}: a hold of the machine is requested")
+        self._holds.call_async(Trigger.Request()).add_done_callback(self._take_hold)
+        return "a hold was requested"
+
+    def _take_hold(self, future: Future) -> None:
+        response = future.result()
+        if response is not None and not response.success:
+            self.get_logger().error(f"{self._holds.srv_name}: {response.message}")
 
     async def _discovered(self, client: Client) -> None:
         """Wait for a service of a node that has just started: on a busy computer it is known after the button is."""
@@ -285,12 +342,15 @@ class OperatorNode(RigNode):
     def _take_signal(self, topic: str, message: Any) -> None:
         add_signals(self, self._signals, topic, message)
         self._state.take_signals(self._signals.latest)
+        self._alarms.check(self._signals.latest, self._request_hold)
 
     def _poll(self) -> None:
         """Take the messages that have arrived and, while a browser is connected, the newest frame."""
         for topic, take in self._topics:
             while (message := topic.take()) is not None:
                 take(message)
+        while (texture := self._textures.take()) is not None:
+            self._texture = texture
         image = self._images.take() if self._page.hub.clients else None
         if image is not None:
             self._page.publish("image", partial(self._picture, image))
@@ -318,6 +378,12 @@ class OperatorNode(RigNode):
         for topic, names in IN_PLANE.items():
             if topic in parts:
                 maps |= dict(zip(names, image_array(parts[topic]).transpose(2, 0, 1), strict=True))
+        if "dic/displacement" in parts and self._texture is not None:
+            texture = image_view(self._texture)
+            if texture.stamp == to_nanoseconds(
+                status.header.stamp
+            ):  # else it has not come, or is that of the next step
+                maps["texture"] = image_array(texture)
         if "coupling/shape" in parts:
             maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
             maps |= cloud_arrays(parts["coupling/displacement"])

@@ -6,31 +6,34 @@ import math
 import time
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+import yaml
 
 from fringedic.calibration.sentences import in_force_words
 from fringedic.configuration.forecast import forecast
+from fringedic.configuration.known_rigs import known_rigs
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.programme_check import check_programme, parse_programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.sentences import forecast_sentence
-from fringedic.errors import FringedicError
+from fringedic.configuration.test_form import SPECIMEN, answered_specimen, answers_of
+from fringedic.configuration.test_series import Series, load_series, series_file
+from fringedic.errors import FringedicError, OperatorError
 from fringedic.frames.region import Region
+from fringedic.frames.sensor import SENSOR
+from fringedic.report.page_server.catalogue import Catalogue, RecordedTest, opened_test
+from fringedic.report.page_server.recorded import RecordedRig
+from fringedic.wording.causes import cause_of
+from fringedic.wording.yaml_text import load_yaml
 
 MOST_ROWS = 1000  # of the programme table
-MOST_TESTS = 200  # of the list of tests, the latest ones
 LOOK_S = 3.0  # between two looks for tests
-
-
-class RecordedTest(NamedTuple):
-    """A folder with a recording, the time of its last change [s], and whether it has a report."""
-
-    folder: Path
-    when: float
-    has_report: bool
+BEFORE = ".before-"  # in the name of a rig file before a change
 
 
 class ShownRigFile:
@@ -47,15 +50,18 @@ class ShownRigFile:
         self._changed = -1
         self._shown: dict[str, Any] = {}
         self._tests: dict[str, RecordedTest] = {}
+        self._shown_tests: list[dict[str, Any]] = []
+        self._series: tuple[int, dict[str, Any]] = (-1, {})
+        self._rigs: list[str] = []
+        self._elsewhere: list[str] = []
+        self._catalogue = Catalogue()
         self._looked = -math.inf
         self._recordings: Path | None = None
+        self._sensor = SENSOR
 
     def shown(self) -> dict[str, Any]:
         """Return the present content."""
-        try:
-            changed = self._path.stat().st_mtime_ns
-        except OSError:
-            changed = 0
+        changed = _changed_at(self._path)
         if changed != self._changed:
             self._changed, self._shown = changed, self._read()
         return self._shown
@@ -65,8 +71,62 @@ class ShownRigFile:
         if time.monotonic() - self._looked > LOOK_S:
             self._looked = time.monotonic()
             with suppress(OSError):  # a folder that is being removed is looked at again
-                self._tests = _tests_in(self._recordings)
+                self._tests = self._catalogue.tests(self._recordings, self._sensor)
+                self._shown_tests = [each.shown() for each in self._tests.values()]
+                self._rigs = _rigs_beside(self._path)
+                folder = self._path.absolute().parent
+                self._elsewhere = [str(each) for each in known_rigs() if each.parent != folder]
         return self._tests
+
+    def shown_tests(self) -> list[dict[str, Any]]:
+        """Return the tests for the page."""
+        self.tests()
+        return self._shown_tests
+
+    def rigs(self) -> list[dict[str, Any]]:
+        """Return the rig files in the folder of this one with the number of their tests, and others of the computer."""
+        tested = [each.card.rig_file for each in self._tests.values() if each.card is not None]
+        beside = [{"file": name, "tests": tested.count(name), "own": name == self._path.name} for name in self._rigs]
+        return beside + [{"file": path, "tests": None, "own": False} for path in self._elsewhere]
+
+    def opened(self, test: str) -> RecordedRig:
+        """Return the maps and curves of an earlier test.
+
+        Raises
+        ------
+        OperatorError
+            There is no such test, or it has no results.
+        """
+        return opened_test(self._tests, test)
+
+    def programme_of(self, test: str) -> str:
+        """Return the text of the programme of an earlier test; empty when it is not known."""
+        card = self._tests[test].card if test in self._tests else None
+        return "" if card is None or card.programme is None else _text_of(card.programme)
+
+    def series(self) -> dict[str, Any]:
+        """Return the specimens that are to be tested, their programme and answers, and why they cannot be read."""
+        file = series_file(self._path)
+        changed = _changed_at(file)
+        if changed != self._series[0]:
+            self._series = changed, _shown_series(file)
+        return self._series[1]
+
+    def plan_series(self, series: Series) -> None:
+        """Keep a series of tests; an empty one is removed.
+
+        Raises
+        ------
+        FringedicError
+            An answer of the form is not valid, or the file cannot be written.
+        """
+        rig = load_rig_file(self._path)
+        for specimen in series.specimens:
+            answered_specimen(rig.test_form, rig.specimen, {**series.answers, SPECIMEN: specimen})
+        try:
+            series.save(series_file(self._path))
+        except OSError as error:
+            raise OperatorError(f"the series cannot be kept: {cause_of(error)}") from error
 
     def check(self, text: str) -> dict[str, Any]:
         """Return what a programme would do on the rig, and the reason why it may not be started.
@@ -79,12 +139,15 @@ class ShownRigFile:
         Returns
         -------
         dict
-            ``rows`` of its first steps, ``count`` of all, ``words`` about time and disk space, and ``problem``, which
-            is empty when it may be started.
+            ``rows`` of its first steps, ``count`` of all, ``words`` about time and disk space, ``text``, its content as
+            ``programme`` (None when it is no YAML), and ``problem``, which is empty when it may be started.
         """
-        checked: dict[str, Any] = {"rows": [], "count": 0, "words": "", "problem": ""}
+        checked: dict[str, Any] = {"rows": [], "count": 0, "words": "", "problem": "", "text": text, "programme": None}
         try:
             rig = load_rig_file(self._path)
+            if not text.strip() and rig.programme is not None:
+                checked["text"] = _text_of(rig.programme)
+            checked["programme"] = _mapping(checked["text"])
             programme = parse_programme(text) if text.strip() else rig.programme
             if programme is not None:
                 checked |= {"rows": _rows(programme), "count": programme.count()}
@@ -103,9 +166,12 @@ class ShownRigFile:
     def _read(self) -> dict[str, Any]:
         self._recordings = None
         shown: dict[str, Any] = {"file": self._path.name, "file_error": "", "region": [], "changed": self._changed}
+        shown |= {"form": [], "answers": {}}
         try:
             rig = load_rig_file(self._path)
-            self._recordings = self._path.absolute().parent / rig.recording.folder
+            self._recordings, self._sensor = self._path.absolute().parent / rig.recording.folder, rig.sensor
+            shown["form"] = [field.model_dump() for field in rig.test_form]
+            shown["answers"] = answers_of(rig.test_form, rig.specimen)
             shown |= {"load_frame": rig.load_frame is not None, "stage": rig.virtual_rig is not None}
             shown |= {"has_programme": rig.programme is not None, "calibration": self._calibration(rig)}
             if rig.region_file is not None:
@@ -123,6 +189,11 @@ class ShownRigFile:
         return ["the values of the virtual rig" if rig.calibration == VIRTUAL_RIG else "values in the rig file"]
 
 
+def _text_of(programme: Programme) -> str:
+    written = programme.model_dump(mode="json", exclude_unset=True)
+    return yaml.safe_dump(written, sort_keys=False, allow_unicode=True, width=100)
+
+
 def _rows(programme: Programme) -> list[dict[str, Any]]:
     names = ("position_mm", "speed_mm_per_s", "hold_s", "mode", "set_reference")
     return [
@@ -131,14 +202,47 @@ def _rows(programme: Programme) -> list[dict[str, Any]]:
     ]
 
 
-def _tests_in(folder: Path | None) -> dict[str, RecordedTest]:
-    if folder is None or not folder.is_dir():
-        return {}
+def _changed_at(file: Path) -> int:
+    """Return the time of the last change of a file [ns], 0 without it."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _shown_series(file: Path) -> dict[str, Any]:
+    try:
+        return load_series(file).model_dump() | {"problem": ""}
+    except FringedicError as error:
+        return Series().model_dump() | {"problem": str(error)}
+
+
+def _mapping(text: str) -> dict[str, Any] | None:
+    """Return the content of a programme as it is written, for the form; None when it has no keys."""
+    try:
+        content = load_yaml(text)
+    except yaml.YAMLError:
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def _rigs_beside(rig_file: Path) -> list[str]:
+    """Return the names of the rig files in the folder of a rig file; files of before a change are none."""
     found = []
-    for each in folder.iterdir():
-        if (each / "bag").is_dir():
-            report = each / "report.html"
-            has_report = report.is_file()
-            found.append(RecordedTest(each, (report if has_report else each).stat().st_mtime, has_report))
-    found.sort(key=lambda test: test.when, reverse=True)
-    return {test.folder.name: test for test in found[:MOST_TESTS]}
+    for each in sorted(rig_file.absolute().parent.glob("*.yaml")):
+        content = None if BEFORE in each.name or each.name.startswith(".") else _mapping_in(each)
+        if each.name == rig_file.name or (content is not None and "camera" in content):
+            found.append(each.name)
+    return found
+
+
+@lru_cache(maxsize=200)
+def _read_mapping(file: Path, changed: int) -> dict[str, Any] | None:  # noqa: ARG001 (a key of the cache)
+    try:
+        return _mapping(file.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _mapping_in(file: Path) -> dict[str, Any] | None:
+    return _read_mapping(file, file.stat().st_mtime_ns)

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from fringedic.configuration.known_rigs import remember_rig
+from fringedic.configuration.test_series import Series
+from fringedic.errors import ConfigurationError
 from operator_node import rig_file
 from operator_node.rig_file import ShownRigFile
 
@@ -68,3 +71,36 @@ def test_tests_are_those_beside_the_rig_file(
     (tmp_path / "recordings" / "five-2" / "report.html").write_text("report")
     found = {name: each.has_report for name, each in file.tests().items()}
     assert found == {"five-1": False, "five-2": True}
+
+
+def test_rigs_are_those_beside_the_rig_file_and_those_that_were_opened(
+    file: ShownRigFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rig_file, "LOOK_S", 0.0)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    for name in ("other.yaml", "rig.before-2026.yaml", "elsewhere/far.yaml", "elsewhere/gone.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(RIG)
+        remember_rig(tmp_path / name)
+    (tmp_path / "elsewhere" / "gone.yaml").unlink()
+    (tmp_path / "no_rig.yaml").write_text("{steps: []}")
+    file.shown()
+    file.tests()
+    found = [each["file"] for each in file.rigs()]
+    assert found == ["other.yaml", "rig.yaml", str(tmp_path / "elsewhere" / "far.yaml")]
+    assert [each["own"] for each in file.rigs()] == [False, True, False]
+
+
+def test_a_series_is_kept_until_it_is_replaced(file: ShownRigFile) -> None:
+    series = Series(specimens=["a", "b"], answers={"width [mm]": 25.0})
+    file.plan_series(series)
+    assert file.series() == series.model_dump() | {"problem": ""}
+    with pytest.raises(ConfigurationError, match="the form of a test has no field 'colour'"):
+        file.plan_series(Series(specimens=["c"], answers={"colour": "red"}))
+    assert file.series()["specimens"] == ["a", "b"]
+
+
+def test_the_content_of_a_text_is_that_of_the_form(file: ShownRigFile) -> None:
+    assert file.check("")["programme"] == {"ramp": {"to_mm": 0.5, "steps": 2}}
+    assert file.check("{ramp: {to_mm: far}}")["programme"] == {"ramp": {"to_mm": "far"}}, "also of a wrong programme"
+    assert file.check("ramp: [")["programme"] is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,11 +11,15 @@ from unittest.mock import MagicMock
 
 import pytest
 import rclpy
+from std_srvs.srv import Trigger
 
-from fringedic.report.page_server.app import Start
-from fringedic_msgs.msg import ProcedureStatus
+from fringedic.errors import OperatorError
+from fringedic.report.page_server.app import Alarm, SetAlarms, Start
+from fringedic.report.page_server.marks import KeepMarks
+from fringedic_msgs.msg import LoadState, ProcedureStatus
 from fringedic_msgs.srv import StartProcedure
-from fringedic_ros.qos import LATCHED
+from fringedic_ros.qos import LATCHED, PREVIEWS
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import Peer
 from operator_node import operator_node
 from operator_node.operator_node import TOKEN, OperatorNode
@@ -65,3 +70,38 @@ def test_the_started_programme_is_shown_and_its_report_outlasts_other_procedures
         )
     assert operator.folders()["run"] == Path("/tests/run"), "a noise floor has no report of a test"
     peer.destroy_node()
+
+
+def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: OperatorNode) -> None:
+    peer, holds = Peer("load_frame"), list[Trigger.Request]()
+
+    def hold(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        holds.append(request)
+        response.success = True
+        return response
+
+    peer.create_service(Trigger, "load_frame/hold", hold)
+    states = peer.create_publisher(LoadState, "load_frame/state", PREVIEWS)
+    peer.serve_also(operator)
+    peer.wait(lambda: operator.snapshot()["rig"]["machine"], "the service")
+    peer.serve(0.5)  # the service knows the client
+    asyncio.run(operator.do(SetAlarms(alarms=[Alarm(signal="force", above=450.0)])))
+
+    def publish(force: float) -> bool:
+        state = LoadState(mode=LoadState.HOLD, force=force)
+        state.header.stamp = to_msg(time.time_ns())
+        states.publish(state)
+        return any(each["value"] == force for each in operator.snapshot()["signals"])
+
+    peer.wait(lambda: publish(449.0), "the state")
+    assert not holds
+    peer.wait(lambda: publish(451.0) and holds, "the hold")
+    peer.serve(0.5)
+    assert len(holds) == 1
+    assert operator.snapshot()["alarms"][0]["reached"] == "force 451 N reached its limit 450; a hold was requested"
+    peer.destroy_node()
+
+
+def test_marks_need_a_test(operator: OperatorNode) -> None:
+    with pytest.raises(OperatorError, match="marks and notes are kept with a test"):
+        asyncio.run(operator.do(KeepMarks(notes={0: "text"})))

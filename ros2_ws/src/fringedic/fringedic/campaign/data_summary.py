@@ -61,7 +61,10 @@ def data_summary(store: CampaignStore, status: Status) -> dict[str, Any]:
                 "Description": ", ".join(_distinct(each.receipt.labels["group"] for each in entries.values())),
                 "Identifiers": _distinct(each.sample for each in entries.values()),
                 "CoordinateSystem": _COORDINATES,
-                "Geometry": {name: {"Section_mm2": each.specimen.section_mm2} for name, each in entries.items()},
+                "Geometry": {
+                    name: {"Section_mm2": each.specimen.section_mm2, **each.specimen.entries}
+                    for name, each in entries.items()
+                },
                 "Materials": {name: each.material for name, each in entries.items()},
             },
             "Diagnostics": {

@@ -22,6 +22,7 @@ from fringedic.configuration.sections import (
     RecordingSection,
     ReferencePlaneSection,
 )
+from fringedic.configuration.test_form import DEFAULT_FORM, MOST_FIELDS, FormField, check_form
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.frames.sensor import SENSOR, SensorName
@@ -112,6 +113,11 @@ class RigFile(Section):
     recording: RecordingSection = Field(RecordingSection(), description="What is recorded, and where.")
     specimen: SpecimenMetadata = Field(SpecimenMetadata(), description="Metadata of the specimen.")
     hardware: HardwareMetadata = Field(HardwareMetadata(), description="Metadata of the hardware.")
+    test_form: list[FormField] = Field(
+        list(DEFAULT_FORM),
+        max_length=MOST_FIELDS,
+        description="What the operator's page asks before a test; its answers replace entries of `specimen`.",
+    )
     programme: Programme | None = Field(None, description="The load steps; a programme file replaces them.")
 
     @model_validator(mode="after")
@@ -153,6 +159,11 @@ class RigFile(Section):
                 "sequence.fringe_order: one_image measures phases up to a multiple of a fringe, and shapes that may be "
                 "wrong by as many; set nodes.phase.relative_phase: accept to accept this"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _fields_of_a_test_differ(self) -> RigFile:
+        check_form(self.test_form)
         return self
 
     @model_validator(mode="after")

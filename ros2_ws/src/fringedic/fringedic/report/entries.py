@@ -58,6 +58,7 @@ def specimen_entries(data: ReportData) -> list[Entry]:
         entered("section", None if section is None else f"{section:g} mm²", "specimen.section_mm2"),
         entered("operator", specimen.operator, "specimen.operator"),
         entered("notes", specimen.notes, "specimen.notes"),
+        *(Entry(name, f"{value:g}" if isinstance(value, float) else value) for name, value in specimen.entries.items()),
         Entry("force tare", "mean reading of the first step" if tare == FIRST_STEP else f"{tare:g} N"),
         Entry(
             "sign of the load cell", "tension positive" if specimen.force_sign == 1 else "tension negative, inverted"

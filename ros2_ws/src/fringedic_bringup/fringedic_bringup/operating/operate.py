@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
+from fringedic.configuration.known_rigs import remember_rig
 from fringedic.errors import WaitTimeoutError
 from fringedic.report.page_server.server import Address, listen
 from fringedic_bringup.launch.graph import Graph, NodeEntry
@@ -66,6 +67,7 @@ def operate(
         with page, server as procedures:
             work = (lambda: time.sleep(0.2)) if procedures is None else procedures.spin_once
             _await_page(page, address, work)
+            remember_rig(place.rig_path)
             ready()
             deaths: list[float] = []
             while not stop():

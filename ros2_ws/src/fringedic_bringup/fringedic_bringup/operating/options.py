@@ -10,11 +10,20 @@ from pydantic import Field, create_model
 
 from fringedic.command.main import app
 from fringedic.command.plugins import load_commands
+from fringedic.configuration.test_form import Answers
 from fringedic.configuration.yaml_section import Section
 
 
-class RunOptions(Section):
-    """Option of ``fringedic run``: the folder of a run that ended early, by its name; empty: a new run."""
+class TestOptions(Section):
+    """The answers of the form of a test, by the names of its fields."""
+
+    __test__ = False  # not one of pytest
+
+    test: Answers = Field({}, description="Answers by the names of the fields.")
+
+
+class RunOptions(TestOptions):
+    """Also of ``fringedic run``: the folder of a run that ended early, by its name; empty: a new run."""
 
     continue_run: str = ""
 

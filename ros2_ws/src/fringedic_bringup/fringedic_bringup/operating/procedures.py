@@ -23,6 +23,8 @@ from fringedic.configuration.forecast import forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.programme_check import check_programme, parse_programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
+from fringedic.configuration.test_card import Card, load_card
+from fringedic.configuration.test_form import SPECIMEN, Answers, answered_specimen
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
 from fringedic.frames.files import write_grey
@@ -34,7 +36,7 @@ from fringedic.wording.path_names import path_name
 from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.operating.options import RunOptions, options_of
+from fringedic_bringup.operating.options import RunOptions, TestOptions, options_of
 from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 from fringedic_bringup.procedures.calibrate import calibrate
@@ -237,15 +239,14 @@ def _settings(place: Place, _: Job, request: Request, __: Section) -> Outcome:
 
 def _run(place: Place, job: Job, request: Request, options: RunOptions) -> Outcome:
     """Run a programme, or go on with one that ended early, as with ``--continue``."""
-    rig, programme = _programme(place, request.text)
     name = options.continue_run
-    if name and name != path_name(name):
-        raise ConfigurationError(f"continue_run: {name} is no name of a folder in {rig.recording.folder}")
+    rig, programme, answers = _test(place, request)
     if name:
-        folder = place.folder / rig.recording.folder / name
+        folder = _folder_of(place, name)
         job.writes_into(str(folder))
     else:
-        folder = _recording_folder(place, job, rig, programme.experiment)
+        folder = _recording_folder(place, job, rig, answers, programme.experiment)
+        Card(rig_file=place.rig_path.name, answers=answers, programme=programme).save(folder)
     job.controlled, job.holds_without_driver = True, programme.on_operator_lost == "hold"
     report = run_experiment(
         rig, place.rig_path, programme, folder, job, domain=place.domain, resume=bool(name), control=job
@@ -261,13 +262,14 @@ def _run(place: Place, job: Job, request: Request, options: RunOptions) -> Outco
     return Outcome(words, good=not report.failed)
 
 
-def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
+def _by_hand(place: Place, job: Job, _: Request, options: TestOptions) -> Outcome:
     """Start the nodes, and keep them until the operator stops; steps are measured by the action of the rig.
 
     When a node ends, the session ends with the results of what was recorded.
     """
-    rig = place.rig
-    folder = _recording_folder(place, job, rig, "by_hand")
+    rig = _specimen_in(place.rig, options.test)
+    folder = _recording_folder(place, job, rig, options.test, "by_hand")
+    Card(rig_file=place.rig_path.name, answers=options.test).save(folder)
     graph = rig_graph(rig, place.rig_path, folder, experiment="by_hand")
     job.controlled = True
     problems: list[str] = []
@@ -292,7 +294,9 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
     try:
         report = write_results("by_hand", folder, [])
         unmeasured = report.unmeasured
-        problems += filter(None, [sign_results(report, calibration=place.rig.calibration_file)])
+        problems += filter(
+            None, [sign_results(report, operator=rig.specimen.operator, calibration=rig.calibration_file)]
+        )
     except FringedicError as error:
         unmeasured = f"no dataset: {error}"
     words = [*problems, unmeasured or f"dataset and report in {folder.name}"]
@@ -300,19 +304,60 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
 
 
 def check_request(place: Place, request: Request) -> None:
-    """Refuse a run before anything is started for it.
+    """Refuse a test before anything is started for it.
 
     Raises
     ------
     FringedicError
-        The programme is wrong, has moves that the machine cannot make, or does not fit on the disk.
+        An answer of the form is wrong or missing; the programme is wrong, has moves that the machine cannot make, or
+        does not fit on the disk.
     """
+    if request.procedure == "by_hand" and isinstance(request.options, TestOptions):
+        _specimen_in(place.rig, request.options.test)
     if request.procedure != "run":
         return
-    rig, programme = _programme(place, request.text)
+    rig, programme, _ = _test(place, request)
     check_programme(rig, programme)
     if isinstance(request.options, RunOptions) and not request.options.continue_run:
         forecast(rig, programme).check_disk(place.folder / rig.recording.folder)
+
+
+def _test(place: Place, request: Request) -> tuple[RigFile, Programme, Answers]:
+    """Return the rig with the specimen of a test, its programme, and the answers of its form.
+
+    A test that goes on has those of its card, where it has one.
+    """
+    options = request.options
+    name = options.continue_run if isinstance(options, RunOptions) else ""
+    answers = dict(options.test) if isinstance(options, TestOptions) else {}
+    card = load_card(_folder_of(place, name)) if name else None
+    if card is not None and card.programme is not None:
+        programme, answers = card.programme, dict(card.answers)
+        rig = place.rig
+        if programme.specimen is not None:
+            rig = rig.model_copy(update={"specimen": programme.specimen})
+    else:
+        rig, programme = _programme(place, request.text)
+    return _specimen_in(rig, answers), programme, answers
+
+
+def _specimen_in(rig: RigFile, answers: Answers) -> RigFile:
+    """Return a rig with the specimen that the form of a test describes."""
+    return rig.model_copy(update={"specimen": answered_specimen(rig.test_form, rig.specimen, answers)})
+
+
+def _folder_of(place: Place, name: str) -> Path:
+    """Return the folder of an earlier run.
+
+    Raises
+    ------
+    ConfigurationError
+        The text is no name of a folder.
+    """
+    recordings = place.rig.recording.folder
+    if name != path_name(name):
+        raise ConfigurationError(f"continue_run: {name} is no name of a folder in {recordings}")
+    return place.folder / recordings / name
 
 
 def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
@@ -326,7 +371,10 @@ def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
     return rig, programme
 
 
-def _recording_folder(place: Place, job: Job, rig: RigFile, experiment: str) -> Path:
+def _recording_folder(place: Place, job: Job, rig: RigFile, answers: Answers, experiment: str) -> Path:
+    """Return the folder of a new test, named as its specimen where the form has one, else as its programme."""
+    if specimen := str(answers.get(SPECIMEN, "")):
+        experiment = path_name(specimen)
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     return place.new_folder(job, f"{rig.recording.folder}/{experiment}-{stamp}")
 
@@ -354,7 +402,7 @@ PROCEDURES = {
     "advise": Procedure(_advise, ("wanted_noise_px", "wanted_period_px", "pixel_size_mm", "strain_window_points")),
     "settings": Procedure(_settings),
     "run": Procedure(_run, section=RunOptions),
-    "by_hand": Procedure(_by_hand),
+    "by_hand": Procedure(_by_hand, section=TestOptions),
 }
 
 

@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.background import BackgroundTask
@@ -26,9 +27,12 @@ from fringedic.figures.palettes import PALETTES, palette
 from fringedic.frames.region import Point
 from fringedic.report.page_server import maps
 from fringedic.report.page_server.access import Wheel
+from fringedic.report.page_server.catalogue import small_picture
 from fringedic.report.page_server.evaluations import Evaluate, Evaluations, Export, Preview
 from fringedic.report.page_server.guard import REPORT_POLICY
 from fringedic.report.page_server.manual import manual_file, manual_page
+from fringedic.report.page_server.marks import Asked, KeepMarks, readings
+from fringedic.report.page_server.recorded import RecordedRig
 from fringedic.report.page_server.streams import Client, Hub
 
 PAGE = Path(__file__).with_name("static")
@@ -50,7 +54,7 @@ class Start(_Command):
     procedure: Procedure
     pattern: Pattern = "white"
     text: str = Field("", max_length=400_000)
-    options: dict[str, bool | int | float | str] = Field({}, max_length=20)
+    options: dict[str, bool | int | float | str | dict[str, float | str]] = Field({}, max_length=20)
 
 
 class Control(_Command):
@@ -72,6 +76,34 @@ class Check(_Command):
     text: str = Field("", max_length=400_000)
 
 
+class Alarm(_Command):
+    """Limits of a signal in its own unit, at which a hold of the machine is requested."""
+
+    signal: str = Field(max_length=200)
+    below: float | None = None
+    above: float | None = None
+
+
+class SetAlarms(_Command):
+    """Sets the limits in place of those before; they are in force again after one was reached."""
+
+    alarms: list[Alarm] = Field([], max_length=20)
+
+
+class PlanSeries(_Command):
+    """Plans tests of several specimens with one programme; empty: none."""
+
+    specimens: list[str] = Field([], max_length=200)
+    answers: dict[str, float | str] = Field({}, max_length=40)
+    text: str = Field("", max_length=400_000)
+
+
+class Compose(_Command):
+    """Asks for the text of a programme that was changed in the form."""
+
+    programme: dict[str, Any]
+
+
 class TurnWheel(_Command):
     """Asks for the wheel, or hands it over."""
 
@@ -83,7 +115,15 @@ class Hold(_Command):
 
 
 CommandT = TypeVar("CommandT", bound=BaseModel)
-COMMANDS: dict[str, type[_Command]] = {"start": Start, "control": Control, "measure": Measure, "hold": Hold}
+COMMANDS: dict[str, type[BaseModel]] = {
+    "start": Start,
+    "control": Control,
+    "measure": Measure,
+    "hold": Hold,
+    "marks": KeepMarks,
+    "alarms": SetAlarms,
+    "series": PlanSeries,
+}
 FOR_EVERYBODY = ("hold",)  # these commands need no wheel
 
 
@@ -96,6 +136,15 @@ class Rig(Protocol):
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state, without the maps, as plain values: topic -> data, published when they change."""
+
+    def opened(self, test: str) -> RecordedRig:
+        """Return an earlier test.
+
+        Raises
+        ------
+        OperatorError
+            There is no such test, or it has no results.
+        """
 
     def folders(self) -> Mapping[str, Path]:
         """Return the folders whose files the page may show, by their names."""
@@ -143,6 +192,9 @@ def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
             Route("/cloud/{step:int}/{name}", site.cloud),
             Route("/line/{step:int}/{name}", site.line),
             Route("/gauge", site.gauge),
+            Route("/readings", site.readings, methods=["POST"]),
+            Route("/tests/{name}", site.test),
+            Route("/tests/{name}/picture", site.picture),
             Route("/palettes", site.palettes),
             Route("/files/{folder}/{name}", site.file),
             Route("/evaluations/{folder}", site.evaluations),
@@ -153,6 +205,7 @@ def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
             Route("/export/{folder}", site.export),
             Route("/manual/{page:path}", site.manual),
             Route("/check", site.check, methods=["POST"]),
+            Route("/compose", site.compose, methods=["POST"]),
             Route("/do/{name}", site.do, methods=["POST"]),
             WebSocketRoute("/stream", site.stream),
         ],
@@ -195,26 +248,48 @@ class _Site:
 
     @_answering
     async def tile(self, request: Request) -> Response:
-        found = await run_in_threadpool(maps.tile, self._rig.maps, *_step_and_name(request))
+        found = await run_in_threadpool(maps.tile, await self._maps(request), *_step_and_name(request))
         rows, columns = found.values.shape
         geometry = {"X-Rows": str(rows), "X-Columns": str(columns), "X-Spacing": str(found.spacing)}
         return Response(found.values.astype("<f4").tobytes(), media_type="application/octet-stream", headers=geometry)
 
     @_answering
     async def cloud(self, request: Request) -> Response:
-        points = await run_in_threadpool(maps.cloud, self._rig.maps, *_step_and_name(request))
+        points = await run_in_threadpool(maps.cloud, await self._maps(request), *_step_and_name(request))
         return Response(points.astype("<f4").tobytes(), media_type="application/octet-stream")
 
     @_answering
     async def line(self, request: Request) -> Response:
         ends = _point(request, "from"), _point(request, "to")
-        return JSONResponse(plain(await run_in_threadpool(maps.line, self._rig.maps, *_step_and_name(request), *ends)))
+        found = await run_in_threadpool(maps.line, await self._maps(request), *_step_and_name(request), *ends)
+        return JSONResponse(plain(found))
 
     @_answering
     async def gauge(self, request: Request) -> Response:
         ends = _point(request, "from"), _point(request, "to")
         subset = _finite("subset", request.query_params.get("subset", ""))
-        return JSONResponse(plain(await run_in_threadpool(maps.gauge, self._rig.maps, *ends, subset)))
+        return JSONResponse(plain(await run_in_threadpool(maps.gauge, await self._maps(request), *ends, subset)))
+
+    @_answering
+    async def readings(self, request: Request) -> Response:
+        asked = _parsed(Asked, await _body(request))
+        return JSONResponse(plain(await run_in_threadpool(readings, await self._maps(request), asked)))
+
+    @_answering
+    async def test(self, request: Request) -> Response:
+        opened = await run_in_threadpool(self._rig.opened, request.path_params["name"])
+        return JSONResponse(plain(opened.snapshot()))
+
+    @_answering
+    async def picture(self, request: Request) -> Response:
+        opened = await run_in_threadpool(self._rig.opened, request.path_params["name"])
+        picture = await run_in_threadpool(small_picture, opened)
+        return Response(picture, media_type="image/png", headers={"Cache-Control": "max-age=600"})
+
+    async def _maps(self, request: Request) -> maps.StepMaps:
+        """Return the maps of the test that a request names, or of the one that runs or ran last."""
+        name = request.query_params.get("test", "")
+        return (await run_in_threadpool(self._rig.opened, name)).maps if name else self._rig.maps
 
     @_answering
     async def palettes(self, _: Request) -> Response:
@@ -294,6 +369,13 @@ class _Site:
             raise OperatorError(f"there is no test {request.path_params['folder'][:60]}: choose one of the list")
         return folder
 
+    @_answering
+    async def compose(self, request: Request) -> Response:
+        composed = yaml.safe_dump(
+            _parsed(Compose, await _body(request)).programme, sort_keys=False, allow_unicode=True, width=100
+        )
+        return JSONResponse({"text": composed})
+
     async def stream(self, socket: WebSocket) -> None:
         await socket.accept()
         client = Client(socket.state.session)
@@ -366,7 +448,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: plain(each) for key, each in value.items()}
+        return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(each) for each in value]
     return value
@@ -395,7 +477,8 @@ def _parsed(kind: type[CommandT], body: bytes) -> CommandT:
         return kind.model_validate_json(body)
     except ValidationError as error:
         first = error.errors()[0]
-        raise OperatorError(f"{'.'.join(map(str, first['loc'])) or 'command'}: {first['msg']}") from error
+        where = ".".join(map(str, first["loc"])) or "command"
+        raise OperatorError(f"{where}: {first['msg'].removeprefix('Value error, ')}") from error
 
 
 def _step_and_name(request: Request) -> tuple[int, str]:

@@ -27,7 +27,7 @@ MOST_BYTES = 2_000_000_000  # of the maps of a running test
 _TESTED_ROWS = 16
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _IN_PLANE = ("displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
-_OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
+OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
 
 
 class StepMaps(Protocol):
@@ -220,7 +220,13 @@ def cloud(maps: StepMaps, step: int, colour: str) -> np.ndarray:
 
 
 def line(maps: StepMaps, step: int, name: str, start: Point, end: Point) -> dict[str, Any]:
-    """Return a map, and its standard deviation where there is one, along a line of the reference image [px].
+    """Return a map, and its standard deviation where there is one, along a line of the reference image.
+
+    Returns
+    -------
+    dict
+        ``position`` [px], ``value``, ``sigma``, and ``distance`` [m]: from the first measured point of the line in the
+        plane of x and y, where the step has a surface.
 
     Raises
     ------
@@ -228,10 +234,21 @@ def line(maps: StepMaps, step: int, name: str, start: Point, end: Point) -> dict
         The step has no such map, or the line leaves the result.
     """
     sigma = sigma_of(name)
-    names = [name] if sigma is None or sigma not in maps.names().get(step, ()) else [name, sigma]
-    found = profile(maps.dataset(step, names), names, start, end)
+    known = maps.names().get(step, ())
+    names = [name] if sigma is None or sigma not in known else [name, sigma]
+    places = [each for each in ("x", "y") if each in known]
+    read = [*dict.fromkeys((*names, *places))]
+    found = profile(maps.dataset(step, read), read, start, end)
     values = {key: found[wanted].values.tolist() for key, wanted in zip(("value", "sigma"), names, strict=False)}
+    if len(places) == 2:
+        values["distance"] = _distance(found["x"].values, found["y"].values).tolist()
     return {"position": found["position"].values.tolist(), **values}
+
+
+def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the distance of points from the first one that is measured."""
+    seen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    return np.hypot(x - x[seen[0]], y - y[seen[0]]) if seen.size else np.full(x.shape, np.nan)
 
 
 def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[dict[str, float]]:
@@ -253,7 +270,7 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
     """
     readings = []
     for step, names in maps.names().items():
-        wanted = [name for name in _OF_A_GAUGE if name in names]
+        wanted = [name for name in OF_A_GAUGE if name in names]
         if set(_POSITION + _DISPLACEMENT) <= set(wanted):
             found = extensometer(maps.dataset(step, wanted), first, second, subset=subset)
             values = {str(name): float(found[name]) for name in found}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,13 @@ from fringedic.datasets.quantities import MAPS
 from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
 from fringedic.report.page_server.maps import RecordedMaps, described, described_signal
+from fringedic.report.page_server.marks import KeepMarks, shown_marks
 
 NO_RIG = "this is a recording: open a rig with 'fringedic operate' to measure"
 
 
 class RecordedRig:
-    """The steps and maps of a recorded experiment; it takes no commands.
+    """The steps and maps of a recorded experiment; it takes no commands but marks and notes.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ class RecordedRig:
         self._folder = source.absolute().parent
         names = self.maps.names()
         measured = {name for of_step in names.values() for name in of_step}
-        self._snapshot = {
+        self._snapshot: dict[str, Any] = {
             "rig": {
                 "kind": "recording",
                 "title": str(self.maps.experiment.attrs.get("experiment", path.stem)),
@@ -40,6 +42,7 @@ class RecordedRig:
             "steps": [self._step(index, 2 if names[step] else 0) for index, step in enumerate(names)],
             "signals": [self._signal(name) for name in signal_names(self.maps.experiment)],
             "quantities": [described(name) for name in MAPS if name in measured],
+            "marks": shown_marks(self._folder),
         }
 
     @property
@@ -59,9 +62,22 @@ class RecordedRig:
         """Return nothing: no test runs."""
         return ""
 
-    async def do(self, command: Any) -> str:  # noqa: ARG002 (that of `Rig`)
-        """Refuse every command."""
-        raise OperatorError(NO_RIG)
+    @property
+    def folder(self) -> Path:
+        """Folder of the dataset."""
+        return self._folder
+
+    def opened(self, test: str) -> RecordedRig:
+        """Refuse other tests: this page shows one."""
+        raise OperatorError(f"{test[:60]}: {NO_RIG}")
+
+    async def do(self, command: Any) -> str:
+        """Keep marks and notes beside the dataset; refuse everything else."""
+        if not isinstance(command, KeepMarks) or command.test:
+            raise OperatorError(NO_RIG)
+        await asyncio.to_thread(command.save, self._folder)
+        self._snapshot = {**self._snapshot, "marks": shown_marks(self._folder)}
+        return "kept with the test"
 
     async def check(self, text: str) -> dict[str, Any]:  # noqa: ARG002 (that of `Rig`)
         """Refuse every programme."""

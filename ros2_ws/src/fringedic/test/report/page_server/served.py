@@ -12,10 +12,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from websockets.sync.client import ClientConnection, connect
 
+from fringedic.configuration.programme import Programme
+from fringedic.configuration.test_card import Card
+from fringedic.configuration.test_form import DEFAULT_FORM, answered_specimen
+from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import OperatorError
+from fringedic.metadata import SpecimenMetadata
 from fringedic.report.page_server.maps import SpooledMaps
+from fringedic.report.page_server.recorded import RecordedRig
 from fringedic.report.page_server.server import Address, PageServer
 
 TOKEN = "secret of this test"
@@ -60,6 +67,9 @@ class SmallRig:
     def snapshot(self) -> dict[str, Any]:
         return self.state
 
+    def opened(self, test: str) -> RecordedRig:
+        raise OperatorError(f"there is no test {test}")
+
     def folders(self) -> Mapping[str, Path]:
         return {"run": self.folder}
 
@@ -74,6 +84,36 @@ class SmallRig:
         if type(command).__name__ == "Hold":
             raise OperatorError("there is no machine")
         return "started"
+
+
+def write_test(
+    recordings: Path, name: str, answers: dict[str, str | float], *, stretch: float, failed: int = 0
+) -> Path:
+    """Write the folder of a test with three planned steps, of which a plane is stretched along x; return it."""
+    folder = recordings / name
+    (folder / "bag").mkdir(parents=True)
+    programme = Programme.model_validate({"experiment": name, "ramp": {"to_mm": 1.0, "steps": 3}})
+    Card(rig_file="tiny.yaml", answers=answers, programme=programme).save(folder)
+    column, row = np.meshgrid(8.0 * np.arange(20), 8.0 * np.arange(12))
+    steps, over = np.arange(3), ("step", "row", "column")
+    fields = {"x": 1e-4 * column, "y": -1e-4 * row, "z": 0 * row, "v": 0 * row, "w": 0 * row, "texture": 100 + row}
+    maps = {each: (over, np.stack([values] * 3).astype(np.float32)) for each, values in fields.items()}
+    maps["u"] = over, np.stack([stretch * step * 1e-4 * column for step in steps]).astype(np.float32)
+    maps["sigma_u"] = over, np.full((3, *row.shape), 1e-7, np.float32)
+    signals = {"force": ("step", 100.0 * steps), "position": ("step", 5e-4 * steps)}
+    errors = ["no light (error 3)" if step >= 3 - failed else "" for step in steps]
+    values = {"valid_fraction": ("step", np.ones(3)), "error": ("step", errors), "reference_step": ("step", [0, 0, 0])}
+    times = np.datetime64("2026-11-01T10:00:00", "ns") + steps * np.timedelta64(10, "s")
+    places = {"step": steps, "time": ("step", times), "row": row[:, 0], "column": column[0]}
+    specimen = answered_specimen(DEFAULT_FORM, SpecimenMetadata(), answers)
+    facts = json.dumps({"specimen": specimen.model_dump(exclude_defaults=True)})
+    units = {"force": "N", "position": "m"}
+    dataset = xr.Dataset({**maps, **signals, **values}, places, {"experiment": name, "facts": facts})
+    for each, unit in units.items():
+        dataset[each].attrs["units"] = unit
+    save_netcdf(dataset, folder / "results.nc")
+    (folder / "report.html").write_text(f"the report of {name}")
+    return folder
 
 
 @dataclass

@@ -1,12 +1,12 @@
-// A curve in an SVG: points [x, y, sigma of y or nothing, state or nothing], labels of both axes. It has a gap where a value is
-// missing, and where the state changes that its values are relative to.
+// A curve in an SVG: points [x, y, sigma of y or nothing, state or nothing], labels of both axes, and points of another, dashed
+// curve. A curve has a gap where a value is missing, and where the state changes that its values are relative to.
 
 import { draw, make, number } from "./elements.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 78, BOTTOM = 46, TOP = 12, RIGHT = 16;
 
-export function chart(points, { x, y, dots = true }) {
-  const known = points.filter(([a, b]) => Number.isFinite(a) && Number.isFinite(b));
+export function chart(points, { x, y, dots = true, other = [] }) {
+  const isKnown = ([a, b]) => Number.isFinite(a) && Number.isFinite(b), known = [...points, ...other].filter(isKnown);
   if (!known.length) return make("p", { class: "soft" }, "There are no values yet.");
   const spread = known.map(([a, b, s]) => [a, b - 2 * (s || 0), b + 2 * (s || 0)]);
   const across = axis(spread.map((p) => p[0])), up = axis(spread.flatMap((p) => [p[1], p[2]]));
@@ -23,8 +23,8 @@ export function chart(points, { x, y, dots = true }) {
   svg.append(draw("path", { class: "axis", fill: "none", d: `M${LEFT} ${TOP}V${HEIGHT - BOTTOM}H${WIDTH - RIGHT}` }));
   for (const part of parts(points, ([a, b, s]) => Number.isFinite(a) && Number.isFinite(b) && s > 0))
     svg.append(draw("polygon", { class: "band", points: `${path(part.map(([a, b, s]) => [a, b + 2 * s]))} ${path(part.map(([a, b, s]) => [a, b - 2 * s]).reverse())}` }));
-  for (const part of parts(points, ([a, b]) => Number.isFinite(a) && Number.isFinite(b)))
-    svg.append(draw("polyline", { class: "curve", points: path(part) }));
+  for (const part of parts(points, isKnown)) svg.append(draw("polyline", { class: "curve", points: path(part) }));
+  for (const part of parts(other, isKnown)) svg.append(draw("polyline", { class: "curve other", points: path(part) }));
   if (dots && known.length <= 100) for (const [a, b] of known) svg.append(draw("circle", { class: "dot", cx: column(a), cy: row(b), r: 3 }));
   svg.append(draw("text", { x: (LEFT + WIDTH) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, x),
     draw("text", { x: 14, y: HEIGHT / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${HEIGHT / 2})` }, y));

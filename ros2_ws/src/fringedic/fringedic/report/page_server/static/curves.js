@@ -4,7 +4,7 @@ import { chart } from "./chart.js";
 import { make, options, patch, scaled } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
 import { tried } from "./server.js";
-import { latest, listen } from "./stream.js";
+import { listenShown, shown } from "./shown.js";
 
 const VALUES = {
   step: ["step", 1], valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
@@ -17,7 +17,7 @@ const kept = { x: `${SIGNAL}position`, y: `${SIGNAL}force` };
 // The label of an axis, and the value of a step; a signal of another rig, or that has not come, has none.
 function axis(key) {
   if (!key.startsWith(SIGNAL)) return [VALUES[key][0], (step) => scaled(step[key], VALUES[key][1])];
-  const name = key.slice(SIGNAL.length), signal = (latest("signals") ?? []).find((each) => each.name === name);
+  const name = key.slice(SIGNAL.length), signal = (shown("signals") ?? []).find((each) => each.name === name);
   return [signal ? `${name} [${signal.unit}]` : name, (step) => scaled(step.signals?.[name], 1 / (signal?.factor ?? 1))];
 }
 
@@ -54,7 +54,7 @@ export function show(place) {
     make("div", { class: "row" }, make("label", {}, "Across", choices.x), make("label", {}, "Up", choices.y)), drawn, hint,
     make("details", {}, make("summary", {}, "Values"), make("div", { class: "scroll" }, table))));
   offer([]);
-  const ends = [listen("signals", (signals) => { offer(signals); paint(); }), listen("steps", async (found) => {
+  const ends = [listenShown("signals", (signals) => { offer(signals); paint(); }), listenShown("steps", async (found) => {
     steps = found;
     paint();
     const readings = found.some((step) => step.mapped === 2) ? (await tried(strains())) ?? [] : [];

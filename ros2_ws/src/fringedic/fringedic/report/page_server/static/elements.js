@@ -3,6 +3,7 @@
 // The attributes that each element was made with: `patch` compares them, not the page, where a person types and opens.
 const made = new WeakMap();
 const lasting = new WeakSet();
+const standsFor = new WeakMap();
 
 export function make(tag, attributes = {}, ...children) {
   return build(document.createElement(tag), attributes, children);
@@ -15,8 +16,23 @@ export function draw(tag, attributes = {}, ...children) {
 function build(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) put(element, name, value);
   made.set(element, attributes);
-  element.append(...children.filter(isShown));
+  element.append(...children.filter(isShown).map((child) => (lasting.has(child) && child.isConnected ? standIn(child) : child)));
   return element;
+}
+
+// What stands in an element that is being built for one that is shown already: moving that one would take the focus from it.
+function standIn(element) {
+  const comment = document.createComment("");
+  standsFor.set(comment, element);
+  return comment;
+}
+
+// Puts the lasting elements in the places of those that stand for them.
+function settle(node) {
+  for (const child of [...node.childNodes]) {
+    if (standsFor.has(child)) child.replaceWith(standsFor.get(child));
+    else settle(child);
+  }
 }
 
 const isShown = (child) => child !== null && child !== undefined;
@@ -37,11 +53,14 @@ export function keep(element) {
 // Shows these children. An element that is there already, with the same tag and id (or data-key), stays the same one and
 // is changed: a button that is pressed, a field that is written in and a fold that is open outlast every message.
 export function patch(place, ...children) {
-  const wanted = children.filter(isShown).map((child) => (child instanceof Node ? child : document.createTextNode(child)));
+  const wanted = children.filter(isShown).map((child) => standsFor.get(child) ?? (child instanceof Node ? child : document.createTextNode(child)));
   const free = [...place.childNodes].filter((old) => !wanted.includes(old));
   const shown = wanted.map((child) => {
     const at = child.parentNode === place ? -1 : free.findIndex((old) => isSame(old, child));
-    if (at < 0) return child;
+    if (at < 0) {
+      if (child.parentNode !== place) settle(child);
+      return child;
+    }
     const [old] = free.splice(at, 1);
     change(old, child);
     return old;

@@ -15,12 +15,16 @@ export class LiveImage {
   // Called when an image of another size has come; an owner replaces it.
   sized() {}
 
+  // Whether an image is shown; an owner replaces it.
+  accepts() { return true; }
+
   end() {
     this.ends.forEach((end) => end());
   }
 
   // Only the newest image is decoded.
   async take(image) {
+    if (!this.accepts(image)) return;
     this.waiting = image;
     if (this.decoding) return;
     this.decoding = true;

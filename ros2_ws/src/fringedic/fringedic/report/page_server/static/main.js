@@ -3,15 +3,17 @@
 import "./help.js";
 import { button } from "./buttons.js";
 import { make, patch } from "./elements.js";
-import { questionParts } from "./procedure.js";
-import { command, forgetRefusal, newest, say } from "./server.js";
+import { isBusy, questionParts } from "./procedure.js";
+import { command, forgetRefusal, newest, openTest, say, tried } from "./server.js";
+import { shownTest } from "./shown.js";
 import { connect, latest, listen } from "./stream.js";
 
-const OF_A_RIG = { setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate", log: "Log" };
+const OF_A_RIG = { tests: "Tests", setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate", compare: "Compare", log: "Log" };
+const LOOKING = ["maps", "curves", "space"]; // the views that show an earlier test, too
 const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate" };
 const place = document.getElementById("view"), holdButton = document.getElementById("hold");
-const chosen = newest();
-let leave = () => {}, current = "", state = "";
+const chosen = newest(), TEST = "&test="; // in the address of a view, before the name of an earlier test
+let leave = () => {}, current = "", state = "", wantedTest = ""; // the last one: as the address names it
 
 function views() {
   return latest("rig")?.kind === "recording" ? OF_A_RECORDING : OF_A_RIG;
@@ -19,29 +21,68 @@ function views() {
 
 async function route() {
   if (!latest("rig")) return;
-  const known = views(), name = location.hash.slice(1) in known ? location.hash.slice(1) : Object.keys(known)[0];
-  patch(document.getElementById("views"),
-    ...Object.entries(known).map(([key, text]) => make("a", { href: `#${key}`, "data-key": key, "aria-current": key === name ? "page" : null }, text)));
-  if (name === current) return;
-  current = name;
-  leave();
-  leave = () => {};
-  say("");
-  const view = await chosen(import(`/page/${name}.js`));
-  if (view) leave = view.show(place);
+  const known = views(), [asked, wanted = ""] = location.hash.slice(1).split(TEST), name = asked in known ? asked : Object.keys(known)[0];
+  const test = LOOKING.includes(name) ? decodeURIComponent(wanted) : "";
+  patch(document.getElementById("views"), ...Object.entries(known).map(([key, text]) =>
+    make("a", { href: `#${key}`, "data-key": key, "aria-current": key === name ? "page" : null }, text)));
+  const isNew = test !== wantedTest;
+  wantedTest = test;
+  takeOpened(name);
+  if (name !== current) {
+    current = name;
+    leave();
+    leave = () => {};
+    say("");
+    const view = await chosen(import(`/page/${name}.js`));
+    if (view) leave = view.show(place);
+  }
+  if (isNew && test && test !== shownTest()) {
+    await tried(openTest(test));
+    takeOpened(name);
+  }
 }
 
+// Says which earlier test is looked at, and leads back to the present one.
+function takeOpened(name) {
+  const bar = document.getElementById("opened"), test = shownTest();
+  bar.hidden = !test || !LOOKING.includes(name);
+  patch(bar, ...(bar.hidden ? [] : [make("span", {}, `Earlier test: ${titleOf(test)}`),
+    button("Back to the present test", { id: "close-test", onclick: () => { openTest(""); location.hash = `#${name}`; takeOpened(name); } })]));
+}
+
+const titleOf = (name) => {
+  const test = (latest("tests") ?? []).find((each) => each.name === name);
+  return [test?.specimen, name].filter(Boolean).join(", ");
+};
+
 function takeRig(rig) {
-  document.title = `${rig.title} – fringedic`;
-  document.getElementById("title").textContent = rig.title;
+  const test = (latest("tests") ?? []).find((each) => each.name === latest("procedure")?.folder);
+  const title = [rig.title, test?.specimen].filter(Boolean).join(" – ");
+  document.title = `${title} – fringedic`;
+  document.getElementById("title").textContent = title;
   const live = rig.kind === "rig", isOffered = live && (rig.load_frame || rig.machine);
   holdButton.hidden = document.getElementById("hold-note").hidden = !isOffered;
-  // it is sent all the same: the service of a node that has just started is seen a moment later
-  document.getElementById("no-hold").hidden = rig.machine;
-  holdButton.classList.toggle("off", !rig.machine);
+  takeMachine();
   if (!live) patch(document.getElementById("summary"), "recording",
     rig.report ? make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, " report") : "");
   route();
+}
+
+// Why nothing would receive a request to hold; empty while a procedure runs or the rig was started elsewhere, because the
+// service of a node that has just started is seen a moment later, and while the state is not known.
+function noMachine() {
+  const rig = latest("rig");
+  if (!latest("connected") || !rig?.operated || rig.machine || isBusy(latest("procedure"))) return "";
+  return "No node of the machine runs, so that nothing would receive the request: stop the machine at its own controls.";
+}
+
+function takeMachine() {
+  const why = noMachine();
+  document.getElementById("no-hold").hidden = Boolean(latest("rig")?.machine);
+  holdButton.classList.toggle("off", !latest("rig")?.machine);
+  holdButton.title = why;
+  if (why) holdButton.setAttribute("aria-disabled", "true");
+  else holdButton.removeAttribute("aria-disabled");
 }
 
 function takeWheel(wheel) {
@@ -59,6 +100,7 @@ function takeProcedure(procedure) {
   const question = document.getElementById("question"), parts = questionParts(procedure);
   question.hidden = !parts.length;
   patch(question, ...parts);
+  takeMachine();
   if (!procedure) return;
   const now = `${procedure.procedure} ${procedure.state}`;
   if (state && now !== state) forgetRefusal();
@@ -67,12 +109,13 @@ function takeProcedure(procedure) {
   document.getElementById("summary").textContent = procedure.procedure ? `${procedure.title} ${STATES[procedure.state]}${step}` : "ready";
 }
 
-// Never held back, and for everybody.
-holdButton.addEventListener("click", () => command("hold"));
+// For everybody, and never held back while something could receive it.
+holdButton.addEventListener("click", () => (noMachine() ? say(noMachine()) : command("hold")));
 addEventListener("hashchange", route);
 listen("rig", takeRig);
 listen("wheel", (wheel) => { takeWheel(wheel); takeProcedure(latest("procedure")); });
 listen("procedure", takeProcedure);
+listen("tests", () => { if (latest("rig")) takeRig(latest("rig")); });
 listen("connected", (is) => say(is ? "" : "The page has lost its server. The measurement goes on without it; the page connects again by itself."));
 listen("refused", say);
 connect();

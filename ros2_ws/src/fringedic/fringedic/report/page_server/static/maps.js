@@ -3,20 +3,25 @@
 import { chart } from "./chart.js";
 import { make, number, options, scaled, withSigma } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
+import { isolines, levelsBetween } from "./isolines.js";
 import { colourBar, MapCanvas, median, usualRange, valueAt } from "./map_canvas.js";
+import { MarksPanel } from "./marks.js";
 import { numberField } from "./numbers.js";
 import { line, newest, palettes, tile, tried } from "./server.js";
-import { listen } from "./stream.js";
+import { listenShown, shownTest } from "./shown.js";
 
 const PREFERRED = ["v", "displacement_y", "shape_z"];
-const kept = { quantity: "", palette: "viridis", tool: "look", follow: true, step: null };
+const kept = { quantity: "", palette: "viridis", tool: "look", follow: true, step: null, test: "", over: false, lines: false };
+const TOOLS = [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"], ["point", "point"], ["area", "area (double click closes it)"]];
+const MARK_OF = { profile: "line", gauge: "gauge", point: "point", area: "area" }; // what a tool draws
+const PLAY_MS = 400; // from one step to the next
 const DIVERGING = "RdBu_r"; // its middle colour is zero
 const LEAST_SIGMAS = 10; // of a range, so that noise alone is not spread over all colours
 
 export function show(place) {
   const view = new MapsView();
   place.replaceChildren(view.element);
-  const ends = [listen("quantities", (found) => view.takeQuantities(found)), listen("steps", (found) => view.takeSteps(found))];
+  const ends = [listenShown("quantities", (found) => view.takeQuantities(found)), listenShown("steps", (found) => view.takeSteps(found)), () => view.end()];
   return () => ends.forEach((end) => end());
 }
 
@@ -26,8 +31,12 @@ class MapsView {
     this.steps = [];
     this.points = [];
     this.latestProbe = newest();
-    this.map = new MapCanvas((place) => this.read(place), (place) => this.click(place));
-    this.step = make("select", { id: "step", onchange: () => { kept.step = this.step.value; kept.follow = this.step.selectedIndex === this.step.length - 1; this.load(); } });
+    this.tiles = {}; // of the test that is looked at, by their addresses: x and y, and images of the surface
+    this.map = new MapCanvas((place) => this.read(place), (place, clicks) => this.click(place, clicks));
+    this.marks = new MarksPanel(() => this.map.mark(this.points, { kept: this.marks?.marks, closed: this.closed }));
+    this.step = make("select", { id: "step", onchange: () => this.goTo(this.step.selectedIndex) });
+    this.slider = make("input", { type: "range", id: "slider", min: 0, max: 0, "aria-label": "Step", oninput: () => this.goTo(Number(this.slider.value)) });
+    this.player = make("button", { type: "button", id: "play", onclick: () => this.play() }, "Play");
     this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.takeSteps(this.steps); } });
     this.palette = make("select", { id: "palette", onchange: () => { kept.palette = this.palette.value; if (!this.fixed) this.auto(); this.paint(); } });
     options(this.palette, [["viridis", "viridis"], ["RdBu_r", "blue to red"], ["gray", "grey"]], kept.palette);
@@ -36,27 +45,64 @@ class MapsView {
     this.high = numberField({ id: "high", changed: fix });
     for (const { input } of [this.low, this.high]) input.addEventListener("input", () => { this.fixed = true; });
     this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints(this.earlier()); } });
-    options(this.tool, [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"]], kept.tool);
+    options(this.tool, TOOLS, kept.tool);
+    const box = (id, key, text, changed) => make("label", {}, make("input", { type: "checkbox", id, checked: kept[key], onchange: ({ target }) => { kept[key] = target.checked; changed(); } }), text);
+    this.boxes = [box("over", "over", "over the image", () => this.paintBelow()), box("isolines", "lines", "isolines", () => this.paint())];
+    this.position = make("p", { class: "soft", id: "position" });
+    this.linesText = make("p", { class: "soft", id: "isoline-step" });
     this.readout = make("p", { class: "readout", id: "readout", role: "status" });
     this.bar = make("canvas", { width: 256, height: 1 });
     this.result = make("div", { class: "panel", id: "probe" });
     this.element = make("div", { class: "columns" },
-      make("section", { class: "panel" }, this.controls(), this.map.element, this.readout, this.scale()), this.result);
+      make("section", { class: "panel" }, this.controls(), this.map.element, this.readout, this.position, this.scale()),
+      make("section", {}, this.result, this.marks.element));
     this.choosePoints(this.earlier());
   }
 
   // The gauge points that were chosen before.
   earlier() { return this.tool.value === "gauge" ? extensometer.points : []; }
 
+  end() {
+    clearInterval(this.playing);
+    this.marks.end();
+  }
+
   controls() {
-    return make("div", { class: "row" },
-      make("label", {}, "Step", this.step), make("label", {}, "Map", this.quantity), make("label", {}, "Colours", this.palette),
-      make("label", {}, "Tool", this.tool));
+    const zoom = (id, text, factor, name) => make("button", { type: "button", id, "aria-label": name, onclick: () => this.map.zoom(factor) }, text);
+    return make("div", {},
+      make("div", { class: "row" }, make("label", {}, "Step", this.step), make("label", {}, "Map", this.quantity),
+        make("label", {}, "Colours", this.palette), make("label", {}, "Tool", this.tool)),
+      make("div", { class: "row" }, this.slider, this.player, ...this.boxes, zoom("zoom-in", "+", 1.5, "Magnify"), zoom("zoom-out", "−", 1 / 1.5, "Reduce"), zoom("zoom-whole", "Whole map", 0, "Whole map")));
+  }
+
+  // Shows the step with this number in the list; the last one is followed.
+  goTo(index) {
+    this.step.selectedIndex = index;
+    kept.step = this.step.value;
+    kept.follow = index === this.step.length - 1;
+    this.slider.value = index;
+    this.load();
+  }
+
+  // Shows one step after the other to the last; a step that is still being read is waited for.
+  play() {
+    const isPlaying = Boolean(this.playing);
+    clearInterval(this.playing);
+    this.playing = null;
+    this.player.textContent = "Play";
+    if (isPlaying || this.step.length < 2) return;
+    this.player.textContent = "Pause";
+    if (this.step.selectedIndex === this.step.length - 1) this.goTo(0);
+    this.playing = setInterval(() => {
+      if (this.loading) return;
+      if (this.step.selectedIndex < this.step.length - 1) this.goTo(this.step.selectedIndex + 1);
+      if (this.step.selectedIndex === this.step.length - 1) this.play();
+    }, PLAY_MS);
   }
 
   scale() {
     return make("div", {},
-      make("div", { class: "bar" }, this.lowText = make("span"), this.bar, this.highText = make("span")),
+      make("div", { class: "bar" }, this.lowText = make("span"), this.bar, this.highText = make("span")), this.linesText,
       make("div", { class: "row" }, make("label", {}, "from", this.low.input), make("label", {}, "to", this.high.input),
         make("button", { onclick: () => { this.auto(); this.paint(); } }, "Range of this map")));
   }
@@ -69,12 +115,17 @@ class MapsView {
   }
 
   takeSteps(steps) {
+    if (kept.test !== shownTest()) [kept.test, kept.follow, kept.step, this.tiles, this.fixed] = [shownTest(), true, null, {}, false];
+    if (steps.length < this.steps.length) this.tiles = {}; // another experiment begins
     this.steps = steps;
     const level = this.quantities.find(({ name }) => name === this.quantity.value)?.level ?? 1;
     const mapped = steps.filter((step) => step.mapped >= level).map((step) => [step.step, String(step.step)]);
     if (kept.follow) kept.step = mapped.at(-1)?.[0] ?? null;
     const isThere = kept.step === null || mapped.some(([step]) => String(step) === String(kept.step));
     options(this.step, isThere ? mapped : [...mapped, [kept.step, `${kept.step}: has no such map`]], kept.step);
+    this.slider.max = Math.max(mapped.length - 1, 0);
+    this.slider.value = this.step.selectedIndex;
+    this.player.disabled = mapped.length < 2;
     if (!mapped.length) this.readout.textContent = "No step has been measured yet.";
     else if (!isThere) this.forget(`Step ${kept.step} has no map ${this.quantity.value}.`);
     if (isThere) this.load();
@@ -90,7 +141,7 @@ class MapsView {
   async load() {
     const [step, name] = [this.step.value, this.quantity.value];
     if (!step || !name) return;
-    const key = `${step}/${name}`;
+    const key = `${shownTest()}/${step}/${name}`;
     if (key === this.loaded || key === this.loading) return;
     this.loading = key;
     const found = await tried(this.fetch(step, this.quantities.find((each) => each.name === name)));
@@ -102,6 +153,32 @@ class MapsView {
     if (!this.fixed) this.auto();
     this.paint();
     this.probe();
+    this.paintBelow();
+    this.loadPosition();
+    this.marks.show({ step: Number(step), quantity: this.chosen });
+  }
+
+  // A tile that is read once for all steps that show it; null without it.
+  once(step, name) {
+    const key = `${step}/${name}`, { tiles } = this;
+    tiles[key] ??= tile(step, name).catch(() => { delete tiles[key]; return null; }); // it may come later
+    return tiles[key];
+  }
+
+  async loadPosition() {
+    const step = this.shown, [x, y] = await Promise.all([this.once(step, "x"), this.once(step, "y")]);
+    if (step !== this.shown) return;
+    this.places = x && y ? [x, y] : null;
+    this.read(this.map.place());
+  }
+
+  // The surface in the reference image, in which the maps are measured; where it is not kept, that of the step.
+  async paintBelow() {
+    const step = this.shown, reference = this.steps.find((each) => each.step === Number(step))?.reference_step ?? step;
+    const image = kept.over && step !== undefined ? (await this.once(reference, "texture")) ?? (await this.once(step, "texture")) : null;
+    if (step !== this.shown) return;
+    this.map.showBelow(image, image ? usualRange(image.values) : undefined);
+    if (kept.over && step !== undefined && !image) this.position.textContent = "The image of the surface is not kept for this step.";
   }
 
   // The map, those of its standard deviation and smoothing error if there are any, and the palettes.
@@ -130,13 +207,18 @@ class MapsView {
     if (!this.values || !Number.isFinite(low) || !Number.isFinite(high)) return;
     const { factor, unit, meaning } = this.chosen, colours = this.colours[this.palette.value];
     this.map.show(this.values, colours, low * factor, high * factor, `${meaning}, step ${this.shown}`);
-    this.map.mark(this.points);
+    const { pace, levels } = kept.lines ? levelsBetween(low, high) : { levels: [] };
+    this.linesText.textContent = levels.length ? `Isolines every ${number(pace)} ${unit}.` : "";
+    const lines = levels.length ? isolines(this.values, levels.map((each) => each * factor)) : "";
+    this.map.mark(this.points, { kept: this.marks.marks, lines, closed: this.closed });
     this.lowText.textContent = `${number(low)} ${unit}`;
     this.highText.textContent = `${number(high)} ${unit}`;
     colourBar(this.bar, colours);
   }
 
   read(place) {
+    const millimetres = place && this.places ? this.places.map((each) => scaled(valueAt(each, place), 1e3)) : [];
+    this.position.textContent = millimetres.every(Number.isFinite) && millimetres.length ? `x = ${number(millimetres[0], 4)} mm, y = ${number(millimetres[1], 4)} mm` : "";
     if (!place || !this.values) { this.readout.textContent = "Point at the map: value ± standard deviation"; return; }
     const { factor, unit, name } = this.chosen, sigma = this.sigma ? valueAt(this.sigma, place) / factor : NaN;
     const smoothed = this.resolution ? valueAt(this.resolution, place) / factor : NaN;
@@ -145,31 +227,46 @@ class MapsView {
     this.readout.textContent = `${name} = ${value}${errors} at column ${place.column}, row ${place.row}`;
   }
 
-  click({ column, row }) {
-    if (this.tool.value === "look") return;
-    this.choosePoints(this.points.length === 1 ? [...this.points, [column, row]] : [[column, row]]);
+  click({ column, row }, clicks) {
+    const tool = this.tool.value, added = [...this.points, [column, row]];
+    if (tool === "look") return;
+    if (tool === "point") this.choosePoints([[column, row]]);
+    else if (tool === "area") this.addCorner(added, clicks);
+    else this.choosePoints(this.points.length === 1 ? added : [[column, row]]);
   }
 
-  choosePoints(points) {
-    this.points = points;
-    if (this.tool.value === "gauge") extensometer.points = points;
-    this.map.mark(points);
-    const asked = { look: "Choose a tool to draw a profile or an extensometer.", profile: "Click both ends of the line.", gauge: "Click both gauge points." };
-    this.probe();
-    if (points.length < 2) this.result.replaceChildren(make("h2", {}, "Probe"), make("p", { class: "soft" }, asked[this.tool.value]));
+  // A double click, whose second click is at the last corner again, closes the area; the next click begins another.
+  addCorner(added, clicks) {
+    if (clicks > 1 && this.points.length >= 3) this.choosePoints(this.points, true);
+    else if (clicks === 1) this.choosePoints(this.closed ? added.slice(-1) : added);
   }
+
+  choosePoints(points, closed = false) {
+    [this.points, this.closed] = [points, closed];
+    const tool = this.tool.value, least = { profile: 2, gauge: 2, point: 1, area: 3 }[tool];
+    if (tool === "gauge") extensometer.points = points;
+    this.map.mark(points, { closed });
+    this.marks.draw(points.length >= least ? MARK_OF[tool] : "", points);
+    const asked = { look: "Choose a tool to draw a profile, an extensometer, a point or an area.", profile: "Click both ends of the line.", gauge: "Click both gauge points.",
+      point: "Click a point, then keep it as a mark.", area: "Click the corners; then keep the area as a mark." };
+    this.probe();
+    if (points.length < 2 || !(tool in this.probes())) this.result.replaceChildren(make("h2", {}, "Probe"), make("p", { class: "soft" }, asked[tool]));
+  }
+
+  probes() { return { profile: () => this.profile(), gauge: () => this.extensometer() }; }
 
   async probe() {
-    const asked = this.points.length < 2 ? null : this.tool.value === "profile" ? this.profile() : this.extensometer();
+    const asked = this.points.length < 2 || !this.values ? null : this.probes()[this.tool.value]?.() ?? null;
     const shown = await tried(this.latestProbe(asked));
     if (shown) this.result.replaceChildren(...shown);
   }
 
   async profile() {
     const { name, unit, factor, meaning } = this.chosen, found = await line(this.shown, name, ...this.points);
-    const points = found.position.map((at, k) => [at, scaled(found.value[k], 1 / factor), scaled(found.sigma?.[k], 1 / factor)]);
+    const inMillimetres = found.distance?.some((each) => each !== null), along = inMillimetres ? found.distance.map((each) => scaled(each, 1e3)) : found.position;
+    const points = along.map((at, k) => [at, scaled(found.value[k], 1 / factor), scaled(found.sigma?.[k], 1 / factor)]);
     return [make("h2", {}, `Profile of ${name}`), make("p", { class: "soft" }, `${meaning}; the band is ± 2 standard deviations.`),
-      chart(points, { x: "distance [px]", y: `${name} [${unit}]` })];
+      chart(points, { x: `distance [${inMillimetres ? "mm" : "px"}]`, y: `${name} [${unit}]` })];
   }
 
   async extensometer() {

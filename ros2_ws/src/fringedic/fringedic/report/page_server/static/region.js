@@ -8,13 +8,19 @@ import { say, start } from "./server.js";
 import { latest, listen } from "./stream.js";
 
 const NEAR_PX = 12; // on the screen, from a corner or an edge that is meant
-const drawn = { polygons: null, open: null, of: "" }; // outlasts the view; of: the region in force when it was begun
+// Outlasts the view; of: the region in force when it was begun; white: the last image in white light.
+const drawn = { polygons: null, open: null, of: "", white: null };
+const isWhite = () => latest("live")?.state === RUNNING && latest("live").pattern === "white";
+const showWhite = () => start({ procedure: "live", pattern: "white" });
 
 export class RegionEditor {
   constructor() {
     this.image = new LiveImage();
     const { canvas } = this.image;
     this.image.sized = () => this.paint();
+    this.image.accepts = (image) => this.isShown(image);
+    if (drawn.white) this.image.take(drawn.white);
+    if (!isWhite() && !cannotStart()) showWhite();
     canvas.tabIndex = 0;
     canvas.style.cursor = "crosshair";
     canvas.addEventListener("pointerdown", (event) => this.take(event));
@@ -28,6 +34,12 @@ export class RegionEditor {
     this.words = make("p", { class: "soft", role: "status" });
     this.element = make("div", { class: "region" }, this.tools, this.image.element, this.words);
     this.ends = [listen("rig", (rig) => this.takeRegion(rig.region ?? [])), ...["procedure", "wheel", "live"].map((topic) => listen(topic, () => this.paint()))];
+  }
+
+  // Images in white light; the last of them stays while something else is projected.
+  isShown(image) {
+    if (isWhite()) drawn.white = image;
+    return isWhite() || !drawn.white;
   }
 
   end() { this.image.end(); this.ends.forEach((end) => end()); }
@@ -177,19 +189,19 @@ export class RegionEditor {
     const chosen = this.chosen ? [{ points: [this.chosen[0].points[this.chosen[1]]], open: true, chosen: true }] : [];
     const cursor = this.cursor ? [{ points: [this.cursor], open: true }] : [];
     this.image.sketch([...this.shapes(), ...chosen, ...cursor].filter((each) => each.points.length));
-    const live = latest("live"), isWhite = live?.state === RUNNING && live.pattern === "white";
     const { open } = drawn, tool = (id, text, action, why = "") => button(text, { id, why, onclick: () => { action(); this.paint(); } });
     const isOpen = (hole, rectangle) => (Boolean(open) && Boolean(open.hole) === hole && Boolean(open.rectangle) === rectangle ? { "aria-pressed": "true" } : {});
     const kind = (id, text, hole, rectangle) => button(text, { id, ...isOpen(hole, rectangle), onclick: () => { this.begin({ hole, rectangle }); this.paint(); } });
     patch(this.tools, kind("polygon", "Polygon", false, false), kind("rectangle", "Rectangle", false, true), kind("hole", "Hole", true, false),
       tool("undo", "Undo", () => this.undo()), tool("remove-corner", "Delete corner", () => this.remove(), this.chosen ? "" : "Click a corner first."),
       tool("clear", "Clear", () => this.clear()),
-      isWhite ? null : button("Show white light", { id: "region-white", why: cannotStart(), onclick: () => start({ procedure: "live", pattern: "white" }) }),
+      isWhite() ? null : button("Show white light", { id: "region-white", why: cannotStart(), onclick: showWhite }),
       button("Use this region", { id: "save-region", class: "main", why: cannotStart() || notDriving(), onclick: () => this.save() }));
     const corners = open?.points.length ?? 0, what = open?.hole ? "Hole" : open?.rectangle ? "Rectangle" : "Polygon";
     const how = open?.rectangle ? "click two opposite corners" : "click the corners, and double-click the last one";
-    this.words.textContent = !isWhite && this.image.size ? "The corners are seen best in white light." : !this.image.size ? "Start the live view, which shows the image to draw on." : open ? `${what}, ${corners} corners: ${how}; or use the arrow keys and Enter.`
-      : `${drawn.polygons.length} polygons. Drag a corner to move it, click an edge to add one.`;
+    const still = isWhite() ? "" : drawn.white ? "This is the last image in white light. " : "The corners are seen best in white light. ";
+    this.words.textContent = !this.image.size ? "Start the live view, which shows the image to draw on." : still + (open ? `${what}, ${corners} corners: ${how}; or use the arrow keys and Enter.`
+      : `${drawn.polygons.length} polygons. Drag a corner to move it, click an edge to add one.`);
   }
 
   async save() {

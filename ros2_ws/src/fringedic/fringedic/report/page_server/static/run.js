@@ -1,32 +1,35 @@
 // Runs a programme: chosen, checked and shown before it can be started; then its steps; state of machine and recorder.
 
+import { alarmsPanel } from "./alarms.js";
 import { button, notDriving } from "./buttons.js";
 import { chart } from "./chart.js";
 import { keep, make, number, patch, scaled } from "./elements.js";
 import { LiveImage } from "./live_image.js";
 import { cannotStart, duration, FAILED, isBusy, procedurePanel } from "./procedure.js";
-import { checkProgramme, command, newest, start } from "./server.js";
+import { ProgrammeForm } from "./programme_form.js";
+import { checkProgramme, command, composeProgramme, newest, start, tried } from "./server.js";
 import { latest, listen } from "./stream.js";
+import { formParts, testAnswers } from "./test_form.js";
 
 const WRITTEN_MS = 400; // without a key, after which a programme that is being written is checked
+const FIRST = "experiment: test\nramp:\n  to_mm: 1.0\n  steps: 11\n";
 const STEPS_S = 0.5; // between two steps of the curve that are done at the same place
 
 export function show(place) {
-  const image = new LiveImage(), procedure = procedurePanel(["run", "by_hand"]);
+  const image = new LiveImage(), procedure = procedurePanel(["run", "by_hand"]), alarms = alarmsPanel();
   const panel = make("div", { class: "panel", id: "start" }), steps = make("div", { class: "panel scroll" }, make("table", { id: "steps" }));
-  const facts = make("dl", { class: "panel", id: "facts" }), tests = make("section", { class: "panel", id: "tests" });
+  const facts = make("dl", { class: "panel", id: "facts" });
   place.replaceChildren(make("div", { class: "columns" },
-    make("section", {}, panel, procedure.element, steps), make("section", {}, facts, image.element, tests)));
+    make("section", {}, panel, procedure.element, steps), make("section", {}, facts, alarms.element, image.element)));
   const paint = () => {
     patch(panel, ...startParts());
     patch(steps.firstChild, ...rows());
     steps.hidden = steps.firstChild.childElementCount < 2;
     patch(facts, ...factList());
-    patch(tests, ...testParts());
   };
   repaint = paint;
   const topics = ["rig", "procedure", "steps", "step", "load", "signals", "recorder", "hand", "nodes", "wheel", "tests"];
-  const ends = [() => image.end(), procedure.end, () => { repaint = () => {}; }, ...topics.map((topic) => listen(topic, paint)), listen("rig", checkAgain)];
+  const ends = [() => image.end(), procedure.end, alarms.end, () => { repaint = () => {}; }, ...topics.map((topic) => listen(topic, paint)), listen("rig", checkAgain)];
   return () => ends.forEach((end) => end());
 }
 
@@ -35,11 +38,25 @@ let repaint = () => {}, isOwn = false, checked = null, of = null, writing = 0;
 const inTurn = newest();
 const text = keep(make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" }));
 text.addEventListener("input", () => {
+  inTurn(null); // the answer about the text before is not about this one
   checked = null;
   repaint();
   clearTimeout(writing);
   writing = setTimeout(check, WRITTEN_MS);
 });
+
+// The form and the text are two views of one programme; the server writes the text of a changed form, and reads each text.
+const form = new ProgrammeForm(async (programme) => {
+  inTurn(null);
+  checked = null;
+  repaint();
+  const composed = await tried(inOrder(composeProgramme(programme)));
+  if (composed === null) return;
+  text.value = composed;
+  check();
+});
+const inOrder = newest();
+keep(form.element);
 
 const selected = () => (isOwn ? text.value : "");
 
@@ -62,7 +79,14 @@ async function check() {
   repaint();
   if (isOwn && !selected().trim()) checked = { rows: [], count: 0, words: "", problem: "Write a programme, or choose that of the rig file." };
   else checked = await inTurn(checkProgramme(selected())).catch((error) => ({ rows: [], count: 0, words: "", problem: error.message })) ?? checked;
+  if (isOwn && checked?.programme !== undefined) form.show(checked.programme);
   repaint();
+}
+
+// Begins a programme of one's own with that of the rig file, or with a ramp.
+async function chooseOwn() {
+  if (!text.value.trim()) text.value = checked?.text?.trim() ? checked.text : FIRST;
+  choose(true);
 }
 
 const cannotRun = () => cannotStart() || (!checked ? "The programme is being checked." : checked.problem);
@@ -74,18 +98,37 @@ function startParts() {
   return [
     make("h2", {}, "Test"),
     rig.file_error ? make("p", { class: "bad", id: "file-error" }, rig.file_error) : null,
-    ...(operated && !busy ? programmeParts() : []), // else the table of the steps is what one looks at
+    ...(operated && !busy ? [...formParts(), ...programmeParts()] : []), // else the table of the steps is what one looks at
     rig.load_frame && !busy ? make("p", { class: "care" }, "Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.") : null,
     make("div", { class: "row" },
-      button("Start the programme", { class: "main", id: "run", why: cannotRun(), onclick: () => start({ procedure: "run", text: selected() }) }),
+      button("Start the programme", { class: "main", id: "run", why: cannotRun(), onclick: () => begin({ procedure: "run", text: selected() }) }),
       ended ? button("Go on with the last run", { id: "go-on", why: cannotRun(), onclick: () => start({ procedure: "run", text: selected(), options: { continue_run: procedure.folder } }) }) : null,
-      button("Measure by hand", { id: "by-hand", why: cannotStart(), onclick: () => start({ procedure: "by_hand" }) }),
+      button("Measure by hand", { id: "by-hand", why: cannotStart(), onclick: () => begin({ procedure: "by_hand" }) }),
       button("Measure one step", { id: "measure", class: busy && procedure.procedure === "by_hand" ? "main" : "", why: cannotMeasure(), onclick: () => command("measure", {}) })),
+    operated && !busy ? seriesFold() : null,
     ended && rig.load_frame ? make("p", { class: "care" }, "Before you go on with a run that was stopped: find out why, look at machine and specimen, and reset the machine at its own controls.") : null,
     latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
     operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
   ];
 }
+
+// Starts a test of the specimen of the form.
+function begin(content) {
+  const test = testAnswers();
+  return test && start(Object.keys(test).length ? { ...content, options: { test } } : content);
+}
+
+// Plans one test per line with the form and the programme that are shown.
+function planSeries() {
+  const test = testAnswers();
+  return test && command("series", { specimens: names.value.split("\n").map((name) => name.trim()).filter(Boolean), answers: test, text: selected() });
+}
+
+const names = keep(make("textarea", { id: "series-names", "aria-label": "Specimens of the series, one per line", placeholder: "plate 1\nplate 2\nplate 3" }));
+
+const seriesFold = () => make("details", { id: "series-fold" }, make("summary", {}, "Series of specimens"),
+  make("p", { class: "soft" }, "One specimen per line. Each gets a test with this form and programme, by one click in Tests."), names,
+  button("Plan the series", { id: "plan-series", why: notDriving(), onclick: planSeries }));
 
 function cannotMeasure() {
   const rig = latest("rig") ?? {}, procedure = latest("procedure"), by_hand = isBusy(procedure) && procedure.procedure === "by_hand";
@@ -98,11 +141,12 @@ function cannotMeasure() {
 // The choice of the programme, and what it will do as a table and as a curve.
 function programmeParts() {
   const rig = latest("rig") ?? {};
-  const choice = (id, own, label) => make("label", {}, make("input", { type: "radio", name: "programme", id, checked: isOwn === own, onchange: () => choose(own) }), label);
+  const choice = (id, own, label) => make("label", {}, make("input", { type: "radio", name: "programme", id, checked: isOwn === own, onchange: () => (own ? chooseOwn() : choose(false)) }), label);
   const found = checked ?? { rows: [], words: "", problem: "" };
   return [
     make("fieldset", { class: "row" }, make("legend", {}, "Programme"), choice("of-file", false, `of ${rig.file ?? "the rig file"}`), choice("own", true, "written here")),
-    isOwn ? text : null,
+    isOwn ? form.element : null,
+    isOwn ? make("details", { id: "yaml", open: true }, make("summary", {}, "The same as text (YAML)"), text) : null,
     found.problem && found.problem === rig.file_error ? null : found.problem ? make("p", { class: "bad", id: "problem", role: "status" }, found.problem)
       : make("p", { class: "soft", id: "forecast", role: "status" }, checked ? found.words : "The programme is being checked."),
     found.rows.length ? make("div", { class: "plan" }, planCurve(found.rows), make("details", { id: "plan" },
@@ -142,18 +186,6 @@ function planCurve(rows) {
 function elsewhere(rig) {
   return (latest("nodes") ?? []).length || rig.measures ? "This rig was started elsewhere: its procedures run there."
     : "No node of this rig runs: start it, for example with fringedic run or ros2 launch, or end this page and start it without --attach.";
-}
-
-// The tests that are kept beside the rig file, with their reports.
-function testParts() {
-  const tests = latest("tests") ?? [];
-  const report = (name) => `/files/${encodeURIComponent(`test ${name}`)}/report.html`;
-  return [
-    make("h2", {}, "Tests"),
-    tests.length ? null : make("p", { class: "soft" }, "No test has been measured with this rig file yet."),
-    make("ul", { class: "scroll" }, ...tests.map(({ name, when, report: has }) => make("li", { "data-key": name }, `${name}, ${new Date(1000 * when).toLocaleString()}`,
-      ...(has ? [" ", make("a", { href: report(name), target: "_blank", rel: "noopener" }, "report"), " ", make("a", { href: report(name), download: `${name}.html` }, "save")] : [" (no report)"])))),
-  ];
 }
 
 const STATES = { failed: "bad", measured: "good" };

@@ -1,5 +1,6 @@
 // Requests to the server; a refusal is shown as its sentence.
 
+import { lookAt, shownTest } from "./shown.js";
 import { next } from "./stream.js";
 
 const ACKNOWLEDGED_MS = 150; // after which a command without an answer is said to be on its way
@@ -87,17 +88,20 @@ export function newest() {
   };
 }
 
-export async function tile(step, name) {
-  const answer = await get(`/maps/${step}/${name}`);
+// An address about the test that is looked at, or about another one.
+const about = (path, test = shownTest()) => (test ? `${path}${path.includes("?") ? "&" : "?"}test=${encodeURIComponent(test)}` : path);
+
+export async function tile(step, name, test) {
+  const answer = await get(about(`/maps/${step}/${name}`, test));
   const values = new Float32Array(await answer.arrayBuffer());
   const [rows, columns, spacing] = ["Rows", "Columns", "Spacing"].map((key) => Number(answer.headers.get(`X-${key}`)));
   return { values, rows, columns, spacing };
 }
 
-export const cloud = async (step, name) => new Float32Array(await (await get(`/cloud/${step}/${name}`)).arrayBuffer());
-// What a programme would do, and why it may not be started.
-export async function checkProgramme(text) {
-  const answer = await post("/check", { text });
+export const cloud = async (step, name) => new Float32Array(await (await get(about(`/cloud/${step}/${name}`))).arrayBuffer());
+
+async function posted(path, content) {
+  const answer = await post(path, content);
   if (!answer.ok) throw new Error(await sentence(answer));
   return answer.json();
 }
@@ -105,8 +109,26 @@ export async function checkProgramme(text) {
 // Named evaluations of a test, its steps and settings, and what is being computed.
 export const evaluations = async (folder) => (await get(`/evaluations/${encodeURIComponent(folder)}`)).json();
 
-export const palettes = async () => (await get("/palettes")).json();
+// What a programme would do, and why it may not be started.
+export const checkProgramme = (text) => posted("/check", { text });
+// The text of a programme that was changed in the form.
+export const composeProgramme = async (programme) => (await posted("/compose", { programme })).text;
+// What marks read on a map at some steps, or at all.
+export const readings = (name, marks, steps = null) => posted(about("/readings"), { name, marks, steps });
+
+let colours = null;
+export async function palettes() {
+  colours ??= await (await get("/palettes")).json();
+  return colours;
+}
 
 const ends = (from, to) => `from=${from.join(",")}&to=${to.join(",")}`;
-export const line = async (step, name, from, to) => (await get(`/line/${step}/${name}?${ends(from, to)}`)).json();
-export const gauge = async (from, to, subset) => (await get(`/gauge?${ends(from, to)}&subset=${subset}`)).json();
+export const line = async (step, name, from, to) => (await get(about(`/line/${step}/${name}?${ends(from, to)}`))).json();
+export const gauge = async (from, to, subset) => (await get(about(`/gauge?${ends(from, to)}&subset=${subset}`))).json();
+
+// The topics of an earlier test.
+export const testTopics = async (name) => (await get(`/tests/${encodeURIComponent(name)}`)).json();
+
+export async function openTest(name) {
+  lookAt(name, name ? await testTopics(name) : null);
+}

@@ -4,7 +4,7 @@ import { draw, make, number, options, patch } from "./elements.js";
 import { colourBar, usualRange } from "./map_canvas.js";
 import { numberField } from "./numbers.js";
 import { cloud, newest, palettes, tried } from "./server.js";
-import { latest, listen } from "./stream.js";
+import { listenShown, shown } from "./shown.js";
 
 const VERTEX = `
 attribute vec3 place, moved; attribute float value;
@@ -37,7 +37,7 @@ export function show(place) {
   const chosen = newest();
   const load = async () => {
     if (!step.value || !quantity.value) return;
-    const of = `${quantity.value} of step ${step.value}`, found = (latest("quantities") ?? []).find(({ name }) => name === quantity.value);
+    const of = `${quantity.value} of step ${step.value}`, found = (shown("quantities") ?? []).find(({ name }) => name === quantity.value);
     const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;
     scene.take(points, colours.viridis);
@@ -48,8 +48,8 @@ export function show(place) {
   const watch = new ResizeObserver(() => scene.draw());
   watch.observe(canvas);
   const ends = [
-    listen("quantities", (found) => { options(quantity, found.map(({ name }) => [name, name]), kept.quantity); load(); }),
-    listen("steps", (found) => {
+    listenShown("quantities", (found) => { options(quantity, found.map(({ name }) => [name, name]), kept.quantity); load(); }),
+    listenShown("steps", (found) => {
       const mapped = found.filter((each) => each.mapped === 2);
       if (kept.follow) kept.step = mapped.at(-1)?.step ?? null;
       options(step, mapped.map((each) => [each.step, String(each.step)]), kept.step);

@@ -1,0 +1,46 @@
+// Limits of signals at which the server requests a hold of the machine. They only ask; the machine's own limits protect.
+
+import { button, notDriving } from "./buttons.js";
+import { keep, make, options, patch } from "./elements.js";
+import { numberField } from "./numbers.js";
+import { command } from "./server.js";
+import { latest, listen } from "./stream.js";
+
+export function alarmsPanel() {
+  const signal = keep(make("select", { id: "alarm-signal" })), below = numberField({ id: "alarm-below" }), above = numberField({ id: "alarm-above" });
+  for (const { input } of [below, above]) keep(input);
+  const element = make("section", { class: "panel", id: "alarms", hidden: true });
+  let offered = "";
+  const add = async () => {
+    const limits = [below.found(), above.found()];
+    if (!below.input.reportValidity() || !above.input.reportValidity()) return null;
+    const others = plain().filter((each) => each.signal !== signal.value);
+    const answer = await command("alarms", { alarms: [...others, { signal: signal.value, below: limits[0], above: limits[1] }] });
+    if (answer !== null) below.input.value = above.input.value = "";
+    return answer;
+  };
+  const paint = () => {
+    const signals = latest("signals") ?? [], alarms = latest("alarms") ?? [], names = JSON.stringify(signals.map(({ name, unit }) => [name, unit]));
+    if (names !== offered) options(signal, signals.map(({ name, unit }) => [name, `${name} [${unit}]`]));
+    offered = names;
+    element.hidden = !latest("rig")?.load_frame && !latest("rig")?.machine;
+    patch(element, make("h2", {}, "Limits that request a hold"),
+      make("p", { class: "soft" }, "The page asks the machine to hold once, and pauses the programme. It only asks: protect people and machine by the machine’s own limits."),
+      make("ul", {}, ...alarms.map((alarm) => line(alarm, signals))),
+      make("div", { class: "row" }, make("label", {}, "Signal", signal), make("label", {}, "at or below", below.input), make("label", {}, "at or above", above.input),
+        button("Set this limit", { id: "set-alarm", why: notDriving() || (signals.length ? "" : "No signal has come yet: start measuring by hand, or a programme."), onclick: add })));
+  };
+  const ends = ["alarms", "signals", "rig", "wheel"].map((topic) => listen(topic, paint));
+  return { element, end: () => ends.forEach((end) => end()) };
+}
+
+const plain = () => (latest("alarms") ?? []).map(({ signal, below, above }) => ({ signal, below, above }));
+
+function line(alarm, signals) {
+  const unit = signals.find(({ name }) => name === alarm.signal)?.unit ?? "";
+  const words = [alarm.below === null ? "" : `at or below ${alarm.below} ${unit}`, alarm.above === null ? "" : `at or above ${alarm.above} ${unit}`].filter(Boolean).join(", or ");
+  return make("li", { "data-key": alarm.signal }, make("span", { class: "row" }, `${alarm.signal} ${words}`,
+    alarm.reached ? make("strong", { class: "bad" }, alarm.reached) : make("span", { class: "good" }, "in force"),
+    alarm.reached ? button("In force again", { "data-key": "again", why: notDriving(), onclick: () => command("alarms", { alarms: plain() }) }) : null,
+    button("Remove", { "data-key": "remove", why: notDriving(), onclick: () => command("alarms", { alarms: plain().filter(({ signal }) => signal !== alarm.signal) }) })));
+}

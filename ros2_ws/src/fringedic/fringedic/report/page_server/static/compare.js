@@ -1,0 +1,116 @@
+// Two tests beside each other: what was entered, their curves in one chart, and a map of each with the same colours.
+
+import { chart } from "./chart.js";
+import { make, number, options, patch, scaled } from "./elements.js";
+import { colourBar, MapCanvas, usualRange, valueAt } from "./map_canvas.js";
+import { newest, palettes, testTopics, tile, tried } from "./server.js";
+import { latest, listen } from "./stream.js";
+import { compared } from "./tests.js";
+
+const PREFERRED = ["v", "displacement_y", "shape_z"];
+const kept = { names: ["", ""], quantity: "", x: "position", y: "force" };
+
+export function show(place) {
+  const view = new CompareView();
+  place.replaceChildren(view.element);
+  const end = listen("tests", () => view.offer());
+  return end;
+}
+
+class CompareView {
+  constructor() {
+    if (compared().length === 2) kept.names = [...compared()];
+    this.topics = [null, null];
+    this.turns = [newest(), newest()];
+    this.drawn = newest();
+    this.choices = kept.names.map((_, k) => make("select", { id: `test-${k}`, onchange: () => { kept.names[k] = this.choices[k].value; this.open(k); } }));
+    const choice = (name, changed) => make("select", { id: `compare-${name}`, onchange: ({ target }) => { kept[name] = target.value; changed(); } });
+    this.quantity = choice("quantity", () => this.draw());
+    [this.x, this.y] = ["x", "y"].map((name) => choice(name, () => this.paint()));
+    this.steps = kept.names.map((_, k) => make("select", { id: `step-${k}`, "aria-label": `Step of test ${k + 1}`, onchange: () => this.draw() }));
+    this.maps = kept.names.map((_, k) => new MapCanvas((at) => this.read(k, at), () => {}));
+    this.words = kept.names.map(() => make("p", { class: "readout" }));
+    this.curves = make("div");
+    this.entries = make("table", { id: "entries" });
+    this.bar = make("canvas", { width: 256, height: 1 });
+    [this.low, this.high] = [make("span"), make("span")];
+    const shownMap = (k) => make("div", {}, make("label", {}, `Step of test ${k + 1}`, this.steps[k]), this.maps[k].element, this.words[k]);
+    this.element = make("div", { class: "stack" },
+      make("section", { class: "panel" }, make("div", { class: "row" }, ...this.choices.map((select, k) => make("label", {}, `Test ${k + 1}`, select))),
+        make("div", { class: "scroll" }, this.entries)),
+      make("section", { class: "panel" }, make("div", { class: "row" }, make("label", {}, "Across", this.x), make("label", {}, "Up", this.y)), this.curves),
+      make("section", { class: "panel" }, make("label", {}, "Map", this.quantity), make("div", { class: "two" }, shownMap(0), shownMap(1)),
+        make("div", { class: "bar" }, this.low, this.bar, this.high)));
+    this.offer();
+    [0, 1].forEach((k) => this.open(k));
+  }
+
+  offer() {
+    const tests = (latest("tests") ?? []).filter(({ results }) => results);
+    const entries = [["", "choose a test"], ...tests.map(({ name, specimen }) => [name, specimen ? `${specimen} (${name})` : name])];
+    this.choices.forEach((select, k) => { if (document.activeElement !== select) options(select, entries, kept.names[k]); });
+    this.paintEntries();
+  }
+
+  async open(k) {
+    this.topics[k] = kept.names[k] ? await tried(this.turns[k](testTopics(kept.names[k]))) : null;
+    const names = (key) => [...new Set(this.topics.flatMap((topics) => (topics?.[key] ?? []).map(({ name }) => name)))];
+    const signals = names("signals"), quantities = names("quantities");
+    options(this.x, [["step", "step"], ...signals.map((name) => [name, name])], kept.x);
+    options(this.y, signals.map((name) => [name, name]), kept.y);
+    options(this.quantity, quantities.map((name) => [name, name]), kept.quantity || PREFERRED.find((name) => quantities.includes(name)));
+    this.topics.forEach((topics, number) => {
+      const measured = (topics?.steps ?? []).filter(({ mapped }) => mapped).map(({ step }) => [step, String(step)]);
+      options(this.steps[number], measured, number === k ? measured.at(-1)?.[0] : undefined);
+    });
+    this.paint();
+    this.draw();
+  }
+
+  paint() {
+    this.paintEntries();
+    const axis = (name) => {
+      const signal = this.topics.flatMap((topics) => topics?.signals ?? []).find((each) => each.name === name);
+      return [signal ? `${name} [${signal.unit}]` : name, (step) => (name === "step" ? step.step : scaled(step.signals?.[name], 1 / (signal?.factor ?? 1)))];
+    };
+    const [[x, across], [y, up]] = [axis(this.x.value), axis(this.y.value)];
+    const [points, other] = this.topics.map((topics) => (topics?.steps ?? []).map((step) => [across(step), up(step)]));
+    patch(this.curves, this.topics.some(Boolean) ? chart(points, { x, y, other }) : make("p", { class: "soft" }, "Choose two tests."),
+      make("p", { class: "soft" }, "Test 1: full line; test 2: dashed line."));
+  }
+
+  paintEntries() {
+    const tests = kept.names.map((name) => (latest("tests") ?? []).find((each) => each.name === name));
+    const rows = [["result", (test) => test.verdict], ["date", (test) => new Date(1000 * test.when).toLocaleString()],
+      ...[...new Set(tests.flatMap((test) => Object.keys(test?.answers ?? {})))].map((name) => [name, (test) => test.answers?.[name] ?? "–"])];
+    const cells = (value) => tests.map((test) => make("td", { class: "words" }, test ? String(value(test)) : "–"));
+    patch(this.entries, ...rows.map(([name, value]) => {
+      const [one, two] = cells(value);
+      return make("tr", { class: one.textContent === two.textContent ? "" : "differs" }, make("th", {}, name), one, two);
+    }));
+  }
+
+  // Both maps with the range of both.
+  async draw() {
+    const name = this.quantity.value, asked = this.topics.map((topics, k) => (topics && this.steps[k].value ? tile(this.steps[k].value, name, kept.names[k]).catch(() => null) : null));
+    const found = await tried(this.drawn(Promise.all([palettes(), ...asked])));
+    if (!found || !name) return;
+    const [colours, ...tiles] = found, known = tiles.filter(Boolean);
+    this.tiles = tiles;
+    if (!known.length) return;
+    this.described = this.topics.flatMap((topics) => topics?.quantities ?? []).find((each) => each.name === name);
+    const ranges = known.map(({ values }) => usualRange(values)), low = Math.min(...ranges.map(([each]) => each)), high = Math.max(...ranges.map(([, each]) => each));
+    tiles.forEach((each, k) => (each ? this.maps[k].show(each, colours.viridis, low, high, `${name} of ${kept.names[k]}, step ${this.steps[k].value}`) : this.maps[k].clear()));
+    const { factor, unit } = this.described;
+    [this.low.textContent, this.high.textContent] = [low, high].map((value) => `${number(value / factor)} ${unit}`);
+    colourBar(this.bar, colours.viridis);
+  }
+
+  // The value at the same point of both.
+  read(k, at) {
+    this.tiles?.forEach((each, number_) => {
+      const inside = at && each && at.column < each.columns * each.spacing && at.row < each.rows * each.spacing;
+      this.words[number_].textContent = inside ? `${number(valueAt(each, at) / this.described.factor, 4)} ${this.described.unit} at column ${at.column}, row ${at.row}` : "";
+    });
+  }
+}

@@ -1,0 +1,108 @@
+// A programme as a form: the content of its text, which is the only programme. The server writes and reads the text.
+
+import { button } from "./buttons.js";
+import { make } from "./elements.js";
+import { numberField } from "./numbers.js";
+
+const NUMBER = { position_mm: "to [mm]", from_mm: "from [mm]", to_mm: "to [mm]", steps: "steps", repeats_at_rest: "repeats at rest", speed_mm_per_s: "speed [mm/s]", hold_s: "hold [s]", times: "times" };
+const WHOLE = ["steps", "repeats_at_rest", "times"];
+const LIMITS = { force_above_n: "force rises to [N]", force_below_n: "force falls to [N]", strain_above_percent: "strain rises to [%]", strain_below_percent: "strain falls to [%]", valid_fraction_below: "measured part falls to (0 to 1)" };
+const OF_A_MOVE = Object.keys(LIMITS).slice(0, 4);
+const MODES = [["fringes", "shape and displacement"], ["white", "one white frame"], ["none", "nothing"]];
+const NEW = {
+  step: () => ({ position_mm: 0 }), ramp: () => ({ ramp: { to_mm: 1, steps: 11 } }), hold: () => ({ hold_s: 60, mode: "none" }),
+  cycle: () => ({ cycle: { times: 10, steps: [{ position_mm: 1 }, { position_mm: 0 }] } }),
+};
+
+// The form; `changed` is called with the whole programme after each change. What a person writes in stays while the text follows.
+export class ProgrammeForm {
+  constructor(changed) {
+    this.changed = changed;
+    this.element = make("div", { id: "form" });
+    this.programme = null;
+  }
+
+  // Shows the content of a text; null: it cannot be read.
+  show(programme) {
+    if (JSON.stringify(programme) === JSON.stringify(this.programme)) return;
+    this.programme = structuredClone(programme);
+    this.render();
+  }
+
+  render() {
+    const { programme } = this, done = () => this.changed(programme), again = () => { this.render(); done(); };
+    this.element.replaceChildren(...(programme ? parts(programme, done, again) : [make("p", { class: "soft" }, "The form is shown again when the text can be read.")]));
+  }
+}
+
+// `done` after a change of a field, `again` after one of the list of entries, which is then drawn again.
+function parts(programme, done, again) {
+  if (programme.ramp && !programme.steps) {
+    const add = (entry) => { programme.steps = [{ ramp: programme.ramp }, entry]; delete programme.ramp; again(); };
+    return [name(programme, done), make("div", { class: "entry" }, ramp(programme.ramp, done)), adders(add)];
+  }
+  if (!Array.isArray(programme.steps)) programme.steps = [];
+  return [name(programme, done), list(programme.steps, done, again)];
+}
+
+function name(programme, done) {
+  const input = make("input", { type: "text", id: "form-experiment", pattern: "[A-Za-z0-9_\\-]+", title: "letters, digits, _ and -", onchange: () => { if (input.reportValidity()) { programme.experiment = input.value; done(); } } });
+  input.value = programme.experiment ?? "experiment";
+  return make("div", { class: "row" }, make("label", {}, "Name of the programme", input));
+}
+
+function list(entries, done, again) {
+  const moved = (from, to) => { entries.splice(to, 0, ...entries.splice(from, 1)); again(); };
+  const tools = (k) => make("span", { class: "row" },
+    button("↑", { "aria-label": "Earlier", why: k ? "" : "It is the first.", onclick: () => moved(k, k - 1) }),
+    button("↓", { "aria-label": "Later", why: k < entries.length - 1 ? "" : "It is the last.", onclick: () => moved(k, k + 1) }),
+    button("Remove", { onclick: () => { entries.splice(k, 1); again(); } }));
+  return make("div", { class: "entries" }, ...entries.map((entry, k) => make("div", { class: "entry" }, body(entry, done, again), tools(k))),
+    adders((entry) => { entries.push(entry); again(); }));
+}
+
+const adders = (add) => make("div", { class: "row adders" }, "Add", ...Object.entries(NEW).map(([kind, made]) => button(`a ${kind}`, { class: `add-${kind}`, onclick: () => add(made()) })));
+
+function body(entry, done, again) {
+  if (entry?.ramp) return ramp(entry.ramp, done);
+  if (entry?.cycle) {
+    const { cycle } = entry, steps = Array.isArray(cycle.steps) ? cycle.steps : (cycle.steps = []);
+    return make("fieldset", {}, make("legend", {}, "Cycle"), make("div", { class: "row" }, numbers(cycle, ["times"], done)), limits(cycle, Object.keys(LIMITS), done), list(steps, done, again));
+  }
+  if (entry === null || typeof entry !== "object") return make("p", { class: "bad" }, "This entry is no step: change it in the text.");
+  const isHold = entry.mode === "none" && !("position_mm" in entry);
+  return make("fieldset", {}, make("legend", {}, isHold ? "Hold" : "Step"), make("div", { class: "row" }, numbers(entry, isHold ? ["hold_s"] : ["position_mm", "speed_mm_per_s", "hold_s"], done),
+    isHold ? null : mode(entry, done), isHold ? null : reference(entry, done)), isHold || !("position_mm" in entry) ? null : limits(entry, OF_A_MOVE, done));
+}
+
+const ramp = (content, done) => make("fieldset", {}, make("legend", {}, "Ramp"),
+  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "steps", "speed_mm_per_s", "hold_s", "repeats_at_rest"], done), mode(content, done)), limits(content, Object.keys(LIMITS), done));
+
+const DEFAULTS = { from_mm: 0, speed_mm_per_s: 1, hold_s: 0, repeats_at_rest: 0 };
+
+// Fields of numbers; an empty one leaves its key out.
+function numbers(content, keys, done, labels = NUMBER) {
+  return make("span", { class: "row" }, ...keys.map((key) => {
+    const { input, found } = numberField({ "data-key": key, whole: WHOLE.includes(key), placeholder: String(DEFAULTS[key] ?? ""), value: content[key] === undefined || content[key] === null ? "" : String(content[key]), changed: () => set(content, key, found(), done) });
+    return make("label", {}, labels[key], input);
+  }));
+}
+
+function set(content, key, value, done) {
+  if (value === null || value === "") delete content[key];
+  else content[key] = value;
+  done();
+}
+
+function mode(content, done) {
+  const select = make("select", { "data-key": "mode", onchange: () => set(content, "mode", select.value === "fringes" ? null : select.value, done) }, ...MODES.map(([value, text]) => make("option", { value, selected: (content.mode ?? "fringes") === value }, text)));
+  return make("label", {}, "measures", select);
+}
+
+const reference = (content, done) => make("label", {}, make("input", { type: "checkbox", checked: Boolean(content.set_reference), onchange: ({ target }) => set(content, "set_reference", target.checked || null, done) }), "new reference");
+
+// Conditions that end a move, a ramp or a cycle earlier.
+function limits(content, keys, done) {
+  const until = { ...content.until }, changed = () => { set(content, "until", Object.keys(until).length ? until : null, done); };
+  return make("details", { open: Boolean(content.until) }, make("summary", {}, "Ends earlier when"), numbers(until, keys, changed, LIMITS));
+}

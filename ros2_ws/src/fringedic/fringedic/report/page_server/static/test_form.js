@@ -1,0 +1,44 @@
+// The form of a test: fields of the rig file, filled before each test.
+
+import { button } from "./buttons.js";
+import { keep, make, options } from "./elements.js";
+import { numberField } from "./numbers.js";
+import { latest } from "./stream.js";
+
+export const SPECIMEN = "specimen"; // the field that tells the specimens of a series apart
+let of = "", fields = []; // the form that the fields belong to; they keep what was typed while views change
+
+// The fields as labels; they are made again when the rig file has another form.
+export function formParts() {
+  const { form = [], answers = {} } = latest("rig") ?? {}, known = JSON.stringify([form, answers]);
+  if (known !== of) [of, fields] = [known, form.map((each) => formField(each, answers[each.name]))];
+  if (!form.length) return [];
+  const last = (latest("tests") ?? []).find((each) => Object.keys(each.answers ?? {}).length);
+  return [make("div", { class: "form", id: "test-form" }, ...fields.map(({ element }) => element)),
+    last ? button("Fill in as the last test", { id: "as-last", onclick: () => fill(last.answers) }) : null];
+}
+
+// Fills the form, but for the specimen: the next one has another name.
+function fill(answers) {
+  for (const { name, input } of fields) if (name !== SPECIMEN && name in answers) input.value = String(answers[name]);
+}
+
+// The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes what the rig file says.
+export function testAnswers() {
+  const found = fields.map(({ name, input, found }) => [name, found(), input.reportValidity()]);
+  if (!found.every(([, value, valid]) => valid && value !== undefined)) return null;
+  const written = latest("rig")?.answers ?? {};
+  return Object.fromEntries(found.map(([name, value]) => [name, value ?? ""]).filter(([name, value]) => value !== "" || name in written));
+}
+
+function formField({ name, kind, choices, minimum, maximum, required }, value) {
+  const id = `test-${name.replace(/[^a-z0-9]+/gi, "-")}`, label = required ? `${name} (required)` : name;
+  if (kind === "number") {
+    const { input, found } = numberField({ id, min: minimum ?? -Infinity, max: maximum ?? Infinity, value: value === undefined ? "" : String(value), required });
+    return { name, input, found, element: keep(make("label", {}, label, input)) };
+  }
+  const input = choices ? make("select", { id, required }) : make("input", { id, type: "text", maxlength: 1000, autocomplete: "off", required });
+  if (choices) options(input, [["", "–"], ...choices.map((each) => [each, each])], value ?? "");
+  else input.value = value ?? "";
+  return { name, input, found: () => input.value.trim(), element: keep(make("label", {}, label, input)) };
+}
