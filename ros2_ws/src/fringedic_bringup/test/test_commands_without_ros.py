@@ -100,6 +100,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "target": ["target", "--pitch-mm", "0.5", "--output", str(folder / "grid.pdf")],
         "info": ["info", bag],
         "verify": ["verify", bag],
+        "attach": ["attach", str(folder / "run"), str(folder / "grip.csv"), "--offset", "0.1 +- 0.05"],
         "note": ["note", str(folder / "run"), "from another laboratory"],
         "audit": ["audit", str(folder / "run"), "--no-recompute"],
         "recover": ["recover", bag, "--output", str(folder / "recovered")],
@@ -156,6 +157,7 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
     for number in range(3):
         noisy = grey + rng.normal(0, 2, grey.shape)
         cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    (folder / "grip.csv").write_text("time [s];grip [degC]\n0.0;20.5\n100.0;21.5\n")
     (folder / "acceptance.yaml").write_text(
         "{camera: {source: virtual}, projector: {source: virtual}, calibration: virtual_rig, "
         "virtual_rig: {preset: plate, size: tiny}, acceptance: {ball_diameter_mm: 14, "
