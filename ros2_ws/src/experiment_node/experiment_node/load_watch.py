@@ -179,8 +179,8 @@ class LoadWatch:
         """
         expected = self._is_expected(step, parameters)
         limits = [limit for limit in drift_limits(parameters) if expected or not limit.needs_load_frame]
-        if step.is_moving:
-            limits = []
+        if step.is_moving:  # what is required has to be known, whatever its drift
+            limits = [limit for limit in limits if math.isinf(limit.largest)]
         if not expected and not limits and not step.is_moving:
             return
         start, end = step.exposed_over()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -51,17 +51,17 @@ def surface_figure(step: xr.Dataset) -> Figure:
     whole[:-1, :-1] &= known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
     faces[~whole] = 0.0  # not drawn
     figure = Figure(figsize=(10, 6.2), dpi=100)
-    axes = figure.add_axes((-0.02, -0.05, 0.92, 1.05), projection="3d")
+    axes: Any = figure.add_axes((-0.02, -0.05, 0.92, 1.05), projection="3d")  # whose type Matplotlib does not state
     # without gaps, as the drawing needs it: faces without a value are transparent
     filled = [np.where(known, each, each[known].mean()) for each in at]
     drawn = axes.plot_surface(
         *filled, facecolors=faces, rstride=1, cstride=1, linewidth=0, antialiased=False, shade=False
-    )  # type: ignore[attr-defined]
+    )
     drawn.set_clip_on(False)  # the axes are a square, beyond which the view reaches
     sizes = [max(float(np.ptp(each[known])), 1e-9) for each in at]
-    axes.set_box_aspect([max(size, 0.15 * max(sizes)) for size in sizes], zoom=1.25)  # type: ignore[attr-defined]
+    axes.set_box_aspect([max(size, 0.15 * max(sizes)) for size in sizes], zoom=1.25)
     axes.locator_params(axis="z", nbins=3)
-    axes.view_init(elev=38, azim=-70)  # type: ignore[attr-defined]
+    axes.view_init(elev=38, azim=-70)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     figure.suptitle(f"Step {int(step.step)}: surface")
     figure.colorbar(colour, cax=figure.add_axes((0.9, 0.2, 0.02, 0.6)), label="w [µm]")
