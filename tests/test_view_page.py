@@ -288,7 +288,7 @@ def test_every_view_fits_a_phone_and_has_enough_contrast(page: Page, view: str, 
 def test_a_step_is_previewed_with_other_settings_and_exported(page: Page) -> None:
     """The help leads to the manual of the same server."""
     page.click("#views a[data-key=evaluate]")
-    expect(page.locator("#window + span")).to_have_text(re.compile(r"was \d+"))
+    expect(page.locator("#window + span")).to_have_text(re.compile(r"was \d+"), timeout=30_000)
     page.fill("#window", "4,5,6")
     page.click("#preview")
     expect(page.locator("#message")).to_contain_text("no valid value")

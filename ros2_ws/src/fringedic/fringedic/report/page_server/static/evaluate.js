@@ -21,6 +21,7 @@ export function show(place) {
 class EvaluateView {
   constructor() {
     this.known = null;
+    this.none = "";
     this.newest = newest();
     const change = () => patch(this.seen);
     this.test = keep(make("select", { id: "test", onchange: () => this.look() }));
@@ -78,8 +79,17 @@ class EvaluateView {
 
   async look() {
     const folder = this.test.value;
+    if (this.known?.folder !== folder) { // nothing is previewed or exported of another test
+      this.known = null;
+      this.none = "The results are being read.";
+      patch(this.seen);
+      this.paint();
+    }
     const found = await tried(this.newest(evaluations(folder)));
-    if (!found) return;
+    if (!found) {
+      if (folder === this.test.value && !this.known) { this.none = "This test has no results."; this.paint(); }
+      return;
+    }
     const was = this.known?.job?.state;
     this.known = { ...found, folder };
     options(this.step, found.steps.map((step) => [step, step]), this.step.value || found.steps.at(-1));
@@ -136,7 +146,7 @@ class EvaluateView {
 
   paint() {
     const { evaluations: made = [], job = {}, folder = "" } = this.known ?? {};
-    const none = this.known ? "" : "This test has no results.", runs = job.state === "runs" ? `${job.name} is being computed.` : "";
+    const none = this.known ? "" : this.none, runs = job.state === "runs" ? `${job.name} is being computed.` : "";
     patch(this.actions,
       button("Preview", { id: "preview", why: none || runs, onclick: () => this.preview() }),
       button("Evaluate all steps", { id: "evaluate", class: "main", why: notDriving() || none || runs, onclick: () => this.evaluate() }));
