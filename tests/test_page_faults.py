@@ -706,7 +706,7 @@ def test_a_map_is_magnified_over_the_image_with_isolines(page: Page, rig: ShownR
     page.click("#zoom-whole")
     page.evaluate(SHOWN_LABELS)
     page.click("#play")
-    page.wait_for_function("window.labels.length >= 3")
+    wait_until(lambda: len(page.evaluate("window.labels")) >= 3, "the last step")
     assert [label.partition(";")[0][-1] for label in page.evaluate("window.labels")] == ["0", "1", "2"]
     expect(page.locator("#play")).to_have_text("Play")
     page.uncheck("#isolines")
@@ -851,7 +851,7 @@ def test_region_is_drawn_on_an_image_in_white_light(page: Page, site: Site, rig:
     site.server.publish("image", picture)
     expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", "1")
     view(page, "run")
-    rig.show(live=procedure("live", RUNNING, pattern="fringes"))
+    rig.show(live=procedure("live", RUNNING, pattern="fringes", activity="live"))
     view(page, "live")
     expect(page.locator("#live-state")).to_contain_text("fringes")
     view(page, "setup")
