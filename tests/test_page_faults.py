@@ -52,7 +52,11 @@ class ShownRig(SmallRig):
         self.file = ShownRigFile(self.folder / "tiny.yaml")
         recordings = self.folder / "recordings"
         for number, stretch in ((7, 1e-3), (8, 2e-3)):
-            answers = {"specimen": f"plate {number}", "operator": "M. Weber", "width [mm]": 20.0 + number}
+            answers: dict[str, str | float] = {
+                "specimen": f"plate {number}",
+                "operator": "M. Weber",
+                "width [mm]": 20.0 + number,
+            }
             write_test(recordings, f"plate-{number}", answers, stretch=stretch)
         self.reset()
 

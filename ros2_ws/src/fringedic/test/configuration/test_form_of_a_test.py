@@ -27,7 +27,7 @@ FORM = [
 
 def test_answers_become_entries_of_the_specimen() -> None:
     before = SpecimenMetadata(name="of the rig file", operator="Weber", entries={"width [mm]": 10.0, "kept": "yes"})
-    answers = {"specimen": " plate 7 ", "section [mm²]": 50, "width [mm]": "", "direction": "T"}
+    answers: dict[str, str | float] = {"specimen": " plate 7 ", "section [mm²]": 50, "width [mm]": "", "direction": "T"}
     found = answered_specimen(FORM, before, answers)
     assert (found.name, found.section_mm2, found.operator) == ("plate 7", 50.0, "Weber")
     assert found.entries == {"kept": "yes", "direction": "T"}, "an empty answer removes that of the rig file"

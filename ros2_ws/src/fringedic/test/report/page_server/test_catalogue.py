@@ -19,7 +19,7 @@ from fringedic.report.page_server.catalogue import Catalogue, opened_test, small
 from fringedic.report.page_server.marks import MARKS, Asked, KeepMarks, Mark, Marks, load_marks, readings
 from fringedic.report.page_server.recorded import RecordedRig
 
-PLATE_7 = {"specimen": "plate 7", "operator": "M. Weber", "width [mm]": 25.0}
+PLATE_7: dict[str, str | float] = {"specimen": "plate 7", "operator": "M. Weber", "width [mm]": 25.0}
 
 
 def listed(catalogue: Catalogue, folder: Path) -> list[dict[str, Any]]:
@@ -71,6 +71,7 @@ def test_an_earlier_test_is_opened_and_pictured(tmp_path: Path) -> None:
     assert opened_test(tests, "plate-7") is rig, "it stays open"
     assert [step["signals"]["force"] for step in rig.snapshot()["steps"]] == [0.0, 100.0, 200.0]
     picture = cv2.imdecode(np.frombuffer(small_picture(rig), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture is not None
     assert picture.shape == (12, 20, 4)
     with pytest.raises(OperatorError, match="there is no test plate-9"):
         opened_test(tests, "plate-9")
