@@ -13,6 +13,8 @@ from running_system import RecordedExperiment, record_experiment
 import fringedic
 from fringedic.datasets.processing import dataset_from_derived, process_bag
 from fringedic.evaluation import open_truth, rates, truth_errors
+from fringedic.recording.frames import records
+from fringedic.recording.reader import BagReader
 
 SPEED, END = 6e-6, 1.2e-4  # [m/s] of the crosshead, and where it reaches the force [m]
 PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 200}}}"
@@ -47,6 +49,11 @@ def test_force_and_maps_at_many_instants_without_a_hold(
     seconds = 1e-9 * (moving.time.values - moving.time.values[0]).astype(float)
     np.testing.assert_allclose(moving.position, float(moving.position[0]) + SPEED * seconds, atol=2e-7)
     assert (np.diff(moving.force) > 0).all()
+    exposed = list(records(BagReader(pulled.report.folder / "bag")))
+    for step, drift in zip(moving.step.values, moving.position_drift.values, strict=True):
+        first, *_, last = (each for each in exposed if each.step == step)
+        seconds = 1e-9 * (last.stamp - first.stamp) + first.exposure_time
+        assert drift == pytest.approx(SPEED * seconds, abs=2e-7), "over all exposures of the stack"
     assert (moving.valid_fraction > 0.6).all()
 
 

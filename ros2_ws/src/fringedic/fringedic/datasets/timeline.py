@@ -193,7 +193,9 @@ class Timeline:
     def _value_at(self, step: int, name: str) -> SignalValue:
         """Return the value of a signal over the exposures of a step, or at the time of a stack in motion."""
         signal, moving = self._recorded[name], self._moving.get(step)
-        value = signal.value_over(*self._exposed[step]) if moving is None else signal.value_at(*moving)
+        value = signal.value_over(*self._exposed[step])
+        if moving is not None:  # its drift, as that of others, is the change during all exposures
+            value = signal.value_at(*moving)._replace(drift=value.drift)
         if name != FORCE.name:
             return value
         return value._replace(mean=self._sign * (value.mean - self._tare), drift=self._sign * value.drift)

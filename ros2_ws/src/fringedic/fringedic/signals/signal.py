@@ -131,8 +131,8 @@ class Signal:
         Returns
         -------
         SignalValue
-            NaN where the samples end more than a second before the time, or begin more than a second after it. Of fewer
-            than three samples, whose scatter is not known, the uncertainty is that of the sensor.
+            NaN without a sample nearer than a second to `begin` or `end`; the drift is that from `begin` to `end`. Of
+            fewer than three samples, whose scatter is not known, the uncertainty is that of the sensor.
 
         Examples
         --------
@@ -142,20 +142,21 @@ class Signal:
         SignalValue(mean=7.5, sigma=0.5, drift=2.0)
         """
         around = self.around(begin, end)
-        stamps, values = around.stamps, around.values
-        if not stamps.size or not stamps[0] - NEAR_NS < time < stamps[-1] + NEAR_NS:
+        near = (around.stamps > begin - NEAR_NS) & (around.stamps < end + NEAR_NS)
+        stamps, values = around.stamps[near], around.values[near]
+        if not stamps.size:
             return SignalValue()
         centred = 1e-9 * (stamps - stamps[0])
         middle = float(centred.mean())
         centred -= middle
         away = 1e-9 * (time - float(stamps[0])) - middle
         moment = float(centred @ centred)
-        rate = float(centred @ values) / moment if moment > 0 else 0.0
-        variance = float(np.mean(around.sigmas**2))
+        rate = float(centred @ values) / moment if moment > 0 else float("nan")
+        variance = float(np.mean(around.sigmas[near] ** 2))
         if len(values) >= FEWEST_FOR_A_LINE and moment > 0:
             scatter = float(np.sum(residuals(stamps, values) ** 2)) / (len(values) - 2)
             variance += scatter * (1 / len(values) + away**2 / moment)
-        mean = float(values.mean()) + rate * away
+        mean = float(values.mean()) + (rate * away if moment > 0 else 0.0)
         return SignalValue(mean, float(np.sqrt(variance)), rate * 1e-9 * (end - begin))
 
     def on_the_clock_of_the_rig(self, offset: float, drift: float, since: int) -> Signal:

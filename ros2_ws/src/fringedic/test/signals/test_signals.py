@@ -100,6 +100,17 @@ def test_drift_is_the_change_from_begin_to_end_of_the_exposures() -> None:
     assert np.isnan(gap.value_over(0, SECOND).drift)
 
 
+def test_a_value_in_motion_is_not_interpolated_over_a_gap() -> None:
+    """10 N/s, and no samples from 1 to 60 s: at 30 s nothing is known, at 1.5 s the last sample alone."""
+    stamps = np.append(np.arange(0, 1.05 * SECOND, SECOND // 10), 60 * SECOND).astype(np.int64)
+    force = Signal(FORCE, stamps, 10e-9 * stamps, np.full(stamps.size, 0.3))
+    assert np.isnan(force.value_at(30 * SECOND, 29.9 * SECOND, 30.1 * SECOND)).all()
+    last = force.value_at(1.5 * SECOND, 1.45 * SECOND, 1.55 * SECOND)
+    assert last[:2] == pytest.approx((10.0, 0.3))
+    assert np.isnan(last.drift), "one sample shows no change"
+    assert force.value_at(0.52 * SECOND, 0.45 * SECOND, 0.6 * SECOND) == pytest.approx((5.2, 0.3, 1.5))
+
+
 def test_the_stamps_of_another_clock_are_those_of_the_rig_less_offset_and_drift() -> None:
     stamps = np.array([SECOND, 11 * SECOND])
     moved = Signal(TEMPERATURE, stamps, np.zeros(2), np.zeros(2)).on_the_clock_of_the_rig(0.25, 1e-5, since=SECOND)
