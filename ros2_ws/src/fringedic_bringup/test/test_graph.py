@@ -57,12 +57,14 @@ def test_signals_have_a_node_and_a_required_one_is_one_of_the_experiment(tmp_pat
     declared = """
 signals:
   grip: {topic: /thermo/temperature, field: temperature, unit: degC, required: true}
-  meter: {source: instrument, file: meter.yaml}
+  meter: {source: instrument, file: meter.yaml, required: true}
 """
+    queries = "{torque: {query: 'T?', unit: Nm}, angle: {query: 'A?', unit: deg}}"
+    (tmp_path / "meter.yaml").write_text(f"protocol: scpi\nresource: ASRL/dev/ttyS9\nsignals: {queries}\n")
     path.write_text(REAL_RIG + declared)
     rig = load_rig_file(path)
     nodes = {node.name: dict(node.parameters) for node in rig_graph(rig, path, tmp_path / "out").nodes}
-    assert nodes["experiment"]["required_signals"] == ["grip"]
+    assert nodes["experiment"]["required_signals"] == ["grip", "torque", "angle"]
     settings = from_parameters(SignalsNodeSettings, nodes["signals"])
     assert settings.signals["meter"]["file"] == str(tmp_path / "meter.yaml")
     assert signal_settings(settings.signals) == rig.signals

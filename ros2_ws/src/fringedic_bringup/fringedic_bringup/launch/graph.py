@@ -26,7 +26,7 @@ from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings, M
 from fringedic.settings.parameters import default_parameters, to_parameters
 from fringedic.settings.projector import ProjectorNodeSettings
 from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
-from fringedic.settings.signals import SignalsNodeSettings
+from fringedic.settings.signals import InstrumentSignal, SignalsNodeSettings
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
@@ -161,7 +161,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         calibration_file=calibration_file,
         calibration_folder=str((folder / "calibrations").absolute()),
         record_only=not rig.recording.process,
-        required_signals=[name for name, each in rig.signals.items() if each.required],
+        required_signals=_required(rig),
         later_parameters=ProcessingSettings() if rig.recording.process else processing,
     )
     nodes += [
@@ -382,6 +382,19 @@ def _extensometer(section: ExtensometerSection) -> NodeEntry:
 def _declared(rig: RigFile) -> dict[str, Any]:
     """Return the signals of a rig as their node takes them."""
     return {name: each.model_dump(mode="json") for name, each in rig.signals.items()}
+
+
+def _required(rig: RigFile) -> list[str]:
+    """Return the names of the signals without which a step fails; the file of an instrument names its signals."""
+    names: list[str] = []
+    for name, each in rig.signals.items():
+        if each.required and isinstance(each, InstrumentSignal):
+            from load_frame_node.machines.description import load_instrument
+
+            names += load_instrument(each.file).signals
+        elif each.required:
+            names.append(name)
+    return names
 
 
 def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
