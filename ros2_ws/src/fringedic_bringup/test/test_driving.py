@@ -148,6 +148,10 @@ class Rig:
             self._dead["load_frame"] = "has ended"
             raise MoveStoppedError(self.plan.pop(0), error_code=FAULT)
 
+    def measure_while_moving(self, *_: object, **__: object) -> SimpleNamespace:
+        self.move()
+        return SimpleNamespace(position=1e-3, force=0.0, force_reached=False)
+
     def highest_step(self, experiment: str) -> int:
         return self.used[-1] if self.used and experiment == EXPERIMENT else -1
 
@@ -417,11 +421,21 @@ def test_a_move_that_something_else_stops_ends_the_programme(
     assert end.error_message == driven.ended_early
 
 
-def test_a_load_frame_node_that_ends_in_a_move_is_no_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("mode", ["fringes", "moving"])
+def test_a_load_frame_node_that_ends_in_a_move_is_no_stop(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig = Rig(tmp_path, ["ended", ""])
-    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}])
-    assert (driven.ended_early, len(driven.steps)) == ("", 1)
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0, "mode": mode}])
+    assert driven.ended_early == ""
     assert rig.ends[-1].stage == StepStatus.END
+
+
+@pytest.mark.parametrize("mode", ["fringes", "moving"])
+def test_a_move_that_is_refused_is_a_failed_step(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path, ["move", ""])
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0, "mode": mode}, {}])
+    assert (driven.ended_early, [each.error for each in driven.steps]) == ("", ["move", ""])
 
 
 def test_a_stop_while_a_node_is_started_again_ends_the_programme(

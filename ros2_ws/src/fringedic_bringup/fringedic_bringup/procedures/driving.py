@@ -304,10 +304,10 @@ class _Driver:
             self._progress.note(f"recorder: {self._rig.recorder.error_message}")
 
     def _move_and_measure(self, step: ProgrammeStep) -> Reading | None:
-        if step.mode == "moving":
-            return self._measure_moving(step)
         moved = ""
         try:
+            if step.mode == "moving":
+                return self._measure_moving(step)
             if step.position is not None:
                 moved = self._move(step)
             if step.hold_s:
