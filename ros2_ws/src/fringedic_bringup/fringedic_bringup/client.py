@@ -253,7 +253,7 @@ class RigClient:
         until
             Called with the samples of the load frame that reach this client; when it returns true the machine is
             requested to hold. A busy computer delays samples and request without limit: for what only a client knows.
-            A signal or strain that has not come for 2 s and three of its periods is NaN.
+            A signal or strain that has not come for 2 s and three of its periods is NaN; `duration` counts from here.
 
         Raises
         ------
@@ -320,8 +320,7 @@ class RigClient:
             begun, came = time.monotonic(), self._strain.count
             result = self._measure_during(move, feedback)
             measured(result, is_over())
-            for followed in (self._strain, *self._followed.values()):
-                followed.renew()
+            self._strain.renew()
 
             def may_follow(begun: float = begun, came: int = came) -> bool:
                 is_due = time.monotonic() >= begun + every_s
@@ -342,7 +341,7 @@ class RigClient:
         sent = self._send(self._measure, goal, "measure_step", feedback)
 
         def is_over() -> bool:
-            move.is_over(lambda followed: followed.latest)
+            move.is_over(lambda each: each.latest if each is self._strain else each.present())
             return sent.request_result()
 
         result = self._result(sent, is_over, "measure_step")
@@ -364,7 +363,8 @@ class RigClient:
         sent = self._send(self._move, goal, _move_text(goal), lambda _: None)
         for followed in (self._strain, *self._followed.values()):
             followed.renew()
-        return _Move(sent, lambda value: until(self._read(value)))
+        begun_s = time.monotonic()
+        return _Move(sent, lambda value: until(self._read(value)._replace(duration=time.monotonic() - begun_s)))
 
     def wait_for_strain(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for a publisher of the strain.

@@ -49,6 +49,7 @@ class Rig(Node):
         options = {"callback_group": group, "cancel_callback": lambda _: CancelResponse.ACCEPT}
         ActionServer(self, MeasureStep, "measure_step", self._measure, **options)
         ActionServer(self, MoveCrosshead, "move_crosshead", self._move, **options)
+        self.step_s = math.inf
         self.holds, self.holds_before_move = 0, -1
         self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=MutuallyExclusiveCallbackGroup())
 
@@ -58,9 +59,13 @@ class Rig(Node):
         return response
 
     async def _measure(self, goal: ServerGoalHandle) -> MeasureStep.Result:
+        end = time.monotonic() + self.step_s
         while not goal.is_cancel_requested:
             goal.publish_feedback(MeasureStep.Feedback())
             await sleep(self, 0.05)
+            if time.monotonic() > end:
+                goal.succeed()
+                return MeasureStep.Result(step=5)
         goal.canceled()
         return MeasureStep.Result(error_code=MeasureStep.Result.CANCELLED, step=5)
 
@@ -277,3 +282,33 @@ def test_a_strain_or_a_signal_that_no_longer_comes_is_not_known(rig: Rig, monkey
         controller.move(SLOW, until=unknown)
     assert (seen[0], temperatures[0]) == (0.01, 295.0)
     assert math.isnan(seen[-1] + temperatures[-1])
+
+
+def test_a_signal_that_no_longer_comes_is_not_known_while_stacks_are_measured(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each stack is shorter than the silence, and the move was to end at a temperature."""
+    monkeypatch.setattr(client, "SILENT_S", 0.8)
+    rig.step_s = 0.3
+    readings, stacks = list[Reading](), list[int]()
+    grip = Signal(name="grip", quantity="temperature", unit="K", stamps=[Time()], values=[295.0], sigmas=[0.5])
+    with RigClient() as controller:
+        for publisher in (rig.loads, rig.signals):
+            controller.wait_for(publisher.get_subscription_count, 30, lambda: "the subscription of the client")
+        for _ in range(9):
+            rig.signals.publish(grip)
+            controller.sleep(0.01)
+        rig.loads.publish(LoadState(mode=LoadState.MOVING))
+        controller.wait_for_signals({"force", "grip"})
+
+        def unknown(reading: Reading) -> bool:
+            readings.append(reading)
+            return math.isnan(reading.signals["grip"])
+
+        controller.measure_while_moving(
+            SLOW, 1e-3, until=unknown, measured=lambda result, _: stacks.append(result.step)
+        )
+    assert readings[0].signals["grip"] == 295.0
+    assert len(stacks) >= 2
+    assert math.isnan(readings[-1].signals["grip"])
+    assert 0 <= readings[0].duration < readings[-1].duration

@@ -26,11 +26,14 @@ class Reading(NamedTuple):
         Strain of the extensometer, dimensionless.
     valid_fraction
         Measured part of the surface, 0 to 1.
+    duration
+        Time since the begin of the move [s].
     """
 
     signals: Mapping[str, float] = MappingProxyType({})
     strain: float = math.nan
     valid_fraction: float = math.nan
+    duration: float = math.nan
 
 
 class MetCondition(NamedTuple):
@@ -39,11 +42,11 @@ class MetCondition(NamedTuple):
     Attributes
     ----------
     quantity
-        What is limited: ``force``, ``strain``, ``valid fraction``, or the name of another signal.
+        What is limited: ``force``, ``strain``, ``valid fraction``, ``time``, or the name of another signal.
     value
         The reading in the unit of the limit; NaN when it is not known, which meets every condition.
     limit
-        The limit as it is written in the programme [N, %, 0 to 1, or in the unit of the signal].
+        The limit as it is written in the programme [N, %, 0 to 1, s, or in the unit of the signal].
     rising
         The limit is reached from below.
     unit
@@ -78,7 +81,9 @@ class Until(Section):
     valid_fraction_below: float | None = Field(
         None, gt=0, le=1, description="Less of the surface than this is measured, 0 to 1; not for a move."
     )
-
+    time_above_s: float | None = Field(
+        None, gt=0, description="The time since the begin of the move reaches this [s]; only for a move."
+    )
     above: dict[str, float] | None = Field(
         None, min_length=1, description="Other signals, by their names, that reach this from below [their unit]."
     )
@@ -128,6 +133,7 @@ class Until(Section):
             ("strain", strain, "%", self.strain_above_percent, True),
             ("strain", strain, "%", self.strain_below_percent, False),
             ("valid fraction", reading.valid_fraction, "", self.valid_fraction_below, False),
+            ("time", reading.duration, "s", self.time_above_s, True),
         ]
         for of_signals, rising in ((self.above, True), (self.below, False)):
             for name, limit in (of_signals or {}).items():

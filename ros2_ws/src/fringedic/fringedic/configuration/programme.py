@@ -1,6 +1,6 @@
 """Test programmes: moves, holds and measurements in their order, repeated, and ended by conditions.
 
-The number of steps has an upper bound that is known before the test.
+The number of steps has an upper bound that is known before the test, except for stacks that are measured during a move.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from fringedic.configuration.conditions import MetCondition, Reading, Until
 from fringedic.configuration.yaml_section import Section
@@ -25,6 +25,16 @@ class BlockEnd(NamedTuple):
 
     block: Literal["ramp", "cycle"]
     condition: MetCondition
+
+
+def _of_a_block(until: Until) -> Until:
+    if until.time_above_s is not None:
+        raise ValueError("time_above_s ends a move; put it into the until of a step or of continuous")
+    return until
+
+
+BlockUntil = Annotated[Until, AfterValidator(_of_a_block)]
+"""Conditions that are compared after each step of a ramp or a cycle."""
 
 
 class ProgrammeStep(Section):
@@ -92,7 +102,7 @@ class Ramp(Section):
     speed_mm_per_s: float = Field(1.0, gt=0, le=FASTEST_MM_PER_S, description="Speed of the crosshead [mm/s].")
     hold_s: float = Field(0.0, ge=0, le=86400, description="Time between each move and its measurement [s].")
     mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
-    until: Until | None = Field(None, description="Ends the ramp after the step that meets it.")
+    until: BlockUntil | None = Field(None, description="Ends the ramp after the step that meets it.")
 
     @property
     def times(self) -> int:
@@ -170,7 +180,7 @@ class Cycle(Section):
 
     times: int = Field(ge=1, le=MOST_STEPS, description="Largest number of repetitions.")
     steps: list[Entry] = Field(min_length=1, description="Steps, ramps and cycles of each repetition.")
-    until: Until | None = Field(None, description="Ends the cycle after the step that meets it.")
+    until: BlockUntil | None = Field(None, description="Ends the cycle after the step that meets it.")
 
     def entries(self) -> list[ProgrammeStep | Ramp | Cycle]:
         """Return the steps, ramps and cycles of each repetition."""

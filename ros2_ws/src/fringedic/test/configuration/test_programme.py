@@ -94,6 +94,8 @@ def test_a_step_without_result_ends_nothing() -> None:
         ({"above": {"temperature_grip": 320}}, Reading({"temperature_grip": 320.0}), "temperature_grip"),
         ({"below": {"force_upper": -5}}, Reading({"force": -9.0}), "force_upper"),
         ({"force_above_n": 10, "strain_above_percent": 2}, Reading({"force": 11.0}, 0.0), "force"),
+        ({"time_above_s": 60}, Reading(duration=59.0), None),
+        ({"time_above_s": 60}, Reading(duration=60.0), "time"),
     ],
 )
 def test_conditions(condition: dict[str, Any], reading: Reading, quantity: str | None) -> None:
@@ -115,6 +117,8 @@ def test_a_met_condition_has_the_unit_of_its_limit() -> None:
         ([{"position_mm": 1.0, "until": {}}], r"until: give one of force_above_n, force_below_n"),
         ([{"until": {"force_above_n": 3.0}}], r"until ends a move; give position_mm"),
         ([{"position_mm": 1.0, "until": {"valid_fraction_below": 0.5}}], r"put it into the until of a ramp or cycle"),
+        ([{"ramp": {"to_mm": 1, "steps": 3, "until": {"time_above_s": 9}}}], r"time_above_s ends a move; put it into"),
+        ([{"cycle": {"times": 2, "steps": [{}], "until": {"time_above_s": 9}}}], r"time_above_s ends a move"),
         ([{"mode": "none", "set_reference": True}], r"cannot be the reference"),
         (
             [{"cycle": {"times": 60000, "steps": [{}, {}]}}],
