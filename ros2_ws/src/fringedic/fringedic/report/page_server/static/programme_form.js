@@ -6,8 +6,8 @@ import { numberField } from "./numbers.js";
 
 const NUMBER = { position_mm: "to [mm]", from_mm: "from [mm]", to_mm: "to [mm]", steps: "steps", repeats_at_rest: "repeats at rest", speed_mm_per_s: "speed [mm/s]", hold_s: "hold [s]", times: "times" };
 const WHOLE = ["steps", "repeats_at_rest", "times"];
-const LIMITS = { force_above_n: "force rises to [N]", force_below_n: "force falls to [N]", strain_above_percent: "strain rises to [%]", strain_below_percent: "strain falls to [%]", valid_fraction_below: "measured part falls to (0 to 1)" };
-const OF_A_MOVE = Object.keys(LIMITS).slice(0, 4);
+const LIMITS = { force_above_n: "force rises to [N]", force_below_n: "force falls to [N]", strain_above_percent: "strain rises to [%]", strain_below_percent: "strain falls to [%]", time_above_s: "time of the move [s]", valid_fraction_below: "measured part falls to (0 to 1)" };
+const OF_A_MOVE = Object.keys(LIMITS).filter((key) => key !== "valid_fraction_below"), OF_A_BLOCK = Object.keys(LIMITS).filter((key) => key !== "time_above_s");
 const MODES = [["fringes", "shape and displacement"], ["white", "one white frame"], ["none", "nothing"]];
 const NEW = {
   step: () => ({ position_mm: 0 }), ramp: () => ({ ramp: { to_mm: 1, steps: 11 } }), hold: () => ({ hold_s: 60, mode: "none" }),
@@ -41,6 +41,7 @@ function parts(programme, done, again) {
     const add = (entry) => { programme.steps = [{ ramp: programme.ramp }, entry]; delete programme.ramp; again(); };
     return [name(programme, done), make("div", { class: "entry" }, ramp(programme.ramp, done)), adders(add)];
   }
+  if (programme.continuous && !programme.steps) return [name(programme, done), inText()];
   if (!Array.isArray(programme.steps)) programme.steps = [];
   return [name(programme, done), list(programme.steps, done, again)];
 }
@@ -67,16 +68,19 @@ function body(entry, done, again) {
   if (entry?.ramp) return ramp(entry.ramp, done);
   if (entry?.cycle) {
     const { cycle } = entry, steps = Array.isArray(cycle.steps) ? cycle.steps : (cycle.steps = []);
-    return make("fieldset", {}, make("legend", {}, "Cycle"), make("div", { class: "row" }, numbers(cycle, ["times"], done)), limits(cycle, Object.keys(LIMITS), done), list(steps, done, again));
+    return make("fieldset", {}, make("legend", {}, "Cycle"), make("div", { class: "row" }, numbers(cycle, ["times"], done)), limits(cycle, OF_A_BLOCK, done), list(steps, done, again));
   }
   if (entry === null || typeof entry !== "object") return make("p", { class: "bad" }, "This entry is no step: change it in the text.");
+  if (entry.continuous || entry.mode === "moving") return inText();
   const isHold = entry.mode === "none" && !("position_mm" in entry);
   return make("fieldset", {}, make("legend", {}, isHold ? "Hold" : "Step"), make("div", { class: "row" }, numbers(entry, isHold ? ["hold_s"] : ["position_mm", "speed_mm_per_s", "hold_s"], done),
     isHold ? null : mode(entry, done), isHold ? null : reference(entry, done)), isHold || !("position_mm" in entry) ? null : limits(entry, OF_A_MOVE, done));
 }
 
+const inText = () => make("p", { class: "soft" }, "A move that is measured while it lasts: change it in the text.");
+
 const ramp = (content, done) => make("fieldset", {}, make("legend", {}, "Ramp"),
-  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "steps", "speed_mm_per_s", "hold_s", "repeats_at_rest"], done), mode(content, done)), limits(content, Object.keys(LIMITS), done));
+  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "steps", "speed_mm_per_s", "hold_s", "repeats_at_rest"], done), mode(content, done)), limits(content, OF_A_BLOCK, done));
 
 const DEFAULTS = { from_mm: 0, speed_mm_per_s: 1, hold_s: 0, repeats_at_rest: 0 };
 
