@@ -195,9 +195,13 @@ def _with_sigma(signal: Signal, attachment: Attachment) -> Signal:
     """Return a signal on the clock of the rig; the uncertainty of the clock adds to that of its values."""
     known = attachment.sigmas.get(signal.channel.name, np.nan)
     fit = attachment.clock.fit
-    steps = np.gradient(1e-9 * (signal.stamps - signal.stamps[0])) if signal.stamps.size > 1 else np.ones(1)
-    slope = np.gradient(signal.values) / np.maximum(steps, _SHORTEST_S) if signal.values.size > 1 else np.zeros(1)
-    sigmas = np.hypot(known, np.nan_to_num(slope) * fit.sigma_at(signal.stamps))
+    measured = np.isfinite(signal.values)
+    stamps, values = signal.stamps[measured], signal.values[measured]
+    slope = np.zeros(values.size)
+    if values.size > 1:
+        slope = np.gradient(values) / np.maximum(np.gradient(1e-9 * (stamps - stamps[0])), _SHORTEST_S)
+    sigmas = np.full(signal.values.size, np.nan)
+    sigmas[measured] = np.hypot(known, slope * fit.sigma_at(stamps))
     return fit.applied_to(replace(signal, sigmas=sigmas))
 
 

@@ -207,3 +207,14 @@ def test_a_file_without_dates_counts_from_its_own_begin(run: Path, tmp_path: Pat
     file.write_bytes(STYLES["bluehill"]((time, force, 1e-6 * force)))
     attached = attach(run / "bag", file)
     assert attached.attachment.clock.offset == pytest.approx(1.5, abs=4 * attached.attachment.clock.sigma_offset)
+
+
+def test_beside_a_gap_the_uncertainty_of_the_clock_counts_too(run: Path, tmp_path: Path) -> None:
+    """100 N/s with 0.1 s: 10 N. The values beside a missing one had no slope, and so the uncertainty of the sensor."""
+    file = tmp_path / "ramp.csv"
+    rows = [f"{number / 10};{'' if number == 20 else 10.0 * number}" for number in range(40)]
+    file.write_text("time [s];Load [N]\n" + "\n".join(rows))
+    attached = attach(run / "bag", file, offset=(0.0, 0.1), sigmas={"force": 1.0})
+    sigmas = attached.signals["force"].sigmas
+    assert np.isnan(sigmas[20])
+    np.testing.assert_allclose(np.delete(sigmas, 20), np.hypot(1.0, 10.0))
