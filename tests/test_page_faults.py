@@ -620,6 +620,12 @@ def test_form_and_text_are_one_programme(page: Page) -> None:
     expect(page.locator("#run")).to_be_disabled()
     page.fill("#programme", "{steps: [{hold_s: 5, mode: none}, {}]}")
     expect(page.locator("#form legend")).to_have_text(["Hold", "Step"])
+    page.fill("#programme", "{continuous: {to_mm: 0.4, speed_mm_per_s: 0.01}}")
+    expect(page.locator("#form")).to_contain_text("A move that is measured while it lasts")
+    page.fill("#form-experiment", "slow")
+    page.press("#form-experiment", "Tab")
+    expect(page.locator("#programme")).to_have_value(re.compile("experiment: slow"))
+    assert parse_programme(page.locator("#programme").input_value()).continuous is not None
     page.check("#of-file")
 
 
