@@ -36,9 +36,13 @@ class SignalsNode(HardwareNode[SignalsNodeSettings]):
         self._readers: list[_Reader] = []
 
     def open(self) -> None:
-        """Open all sources."""
-        for name, settings in signal_settings(self.parameters.value.signals).items():
-            self._sources[name] = settings, settings.open(self)
+        """Open all sources, or none if one is refused."""
+        try:
+            for name, settings in signal_settings(self.parameters.value.signals).items():
+                self._sources[name] = settings, settings.open(self)
+        except Exception:  # of a driver of a laboratory, too
+            self.close()
+            raise
 
     def activate(self) -> None:
         """Start reading."""

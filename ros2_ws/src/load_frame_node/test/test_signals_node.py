@@ -20,10 +20,12 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 
 from fringedic.errors import ConfigurationError, MachineError
-from fringedic.settings.signals import SerialSignal
+from fringedic.settings.signals import SerialSignal, TopicSignal
 from fringedic_msgs.msg import Signal
 from fringedic_ros.qos import SAMPLES, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -31,6 +33,8 @@ from fringedic_ros.testing import NodeProcess, Peer
 from load_frame_node.machines import load_machine
 from load_frame_node.machines.description import load_instrument
 from load_frame_node.signal_sources.serial_line import SerialSource
+from load_frame_node.signal_sources.topic import TopicSource
+from load_frame_node.signals_node import SignalsNode
 
 HERE = Path(__file__).parent
 
@@ -128,6 +132,7 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Nod
         }
         parameters = {"signals": json.dumps(json.dumps(declared))}
         with NodeProcess("load_frame_node.signals_node", folder, parameters) as process:
+            rig.wait(lambda: rig.signals, "the first sample")
             yield rig, process
     rig.destroy_node()
     rclpy.shutdown()
@@ -165,6 +170,29 @@ def test_a_field_that_no_message_has_is_told(started: tuple[Rig, NodeProcess]) -
     words = "has no number 'humidity'"
     rig.wait(lambda: words in process.log, "the report")
     assert "correct field" in process.log
+
+
+def test_readings_that_nobody_takes_are_limited(started: tuple[Rig, NodeProcess]) -> None:
+    """A node that is not active, or messages without the number, would fill the memory."""
+    rig, _ = started
+    source = TopicSource(TopicSignal(topic="/nobody", field="temperature", unit="K"), rig)
+    message = Temperature(temperature=1.0)
+    message.header.stamp = to_msg(time.time_ns())
+    for _ in range(3000):
+        source._take(message)  # noqa: SLF001 (as the executor calls it, without the time of 3000 messages)
+    assert len(source.read()) == 1000
+    assert source.read() == []
+
+
+def test_a_refused_source_leaves_no_other_one_open(started: tuple[Rig, NodeProcess], tmp_path: Path) -> None:
+    rig, _ = started
+    good = {"source": "serial", "device": rig.line.device, "unit": "V"}
+    bad = {"source": "instrument", "file": str(tmp_path / "none.yaml")}
+    node = SignalsNode()
+    node.set_parameters([Parameter("signals", value=json.dumps({"good": good, "bad": bad}))])
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert not node._sources  # noqa: SLF001 (a source that stays open is not seen from outside)
+    node.destroy_node()
 
 
 def test_a_silent_source_is_told_within_two_seconds_and_its_gap_is_nan(started: tuple[Rig, NodeProcess]) -> None:

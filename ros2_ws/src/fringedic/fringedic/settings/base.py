@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 from fringedic.virtual_rig import VirtualRigConfiguration
 
@@ -20,6 +20,10 @@ class Settings(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+OR_EMPTY = BeforeValidator(lambda value: value or {})
+"""A section that is a parameter of a node, whose text may be empty."""
 
 
 class HardwareNodeSettings(Settings):

@@ -12,7 +12,7 @@ from fringedic.errors import ErrorCode, PatternError
 from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, moving_sequence, step_sequence
-from fringedic.settings.base import MILLI, Settings
+from fringedic.settings.base import MILLI, OR_EMPTY, Settings
 from fringedic.settings.load_frame import HoldSettings
 from fringedic.settings.signals import RequiredSignals
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
@@ -124,9 +124,6 @@ class SequenceSettings(Settings):
         return sequence.patterns
 
 
-_OR_EMPTY = BeforeValidator(lambda value: value or {})
-
-
 class ProcessingSettings(Settings):
     """Parameters of the processing nodes."""
 
@@ -176,7 +173,7 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
         ["phase", "dic", "coupling"], description="Processing nodes whose results end a step."
     )
     record_only: bool = Field(False, description="A step ends without results: frames are recorded and measured later.")
-    later_parameters: Annotated[ProcessingSettings, _OR_EMPTY] = Field(
+    later_parameters: Annotated[ProcessingSettings, OR_EMPTY] = Field(
         ProcessingSettings(),
         description="With record_only: the parameters of phase, dic and coupling node for the later measurement; they "
         "are recorded as if these nodes ran.",
@@ -218,7 +215,7 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
         description="Time after the last exposure, or the result of the node before, within which a processing node "
         "has to have received what it needs for a step [s].",
     )
-    metadata: Annotated[Metadata, _OR_EMPTY] = Field(
+    metadata: Annotated[Metadata, OR_EMPTY] = Field(
         Metadata(), description="Metadata of specimen and hardware, for the recording only."
     )
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, SerializeAsAny, StringConstraints, TypeAdapter, model_validator
 
-from fringedic.settings.base import FilePath, HardwareNodeSettings, Settings
+from fringedic.settings.base import OR_EMPTY, FilePath, HardwareNodeSettings, Settings
 from fringedic.settings.devices import Devices, DeviceSettings
 from fringedic.signals import Channel, Scaling
 
@@ -150,7 +150,7 @@ def signal_settings(entries: dict[str, Any]) -> dict[str, SignalSettings]:
 class SignalsNodeSettings(HardwareNodeSettings):
     """Settings of the signals node."""
 
-    signals: Annotated[dict[str, Any], AfterValidator(_checked_signals)] = Field(
+    signals: Annotated[dict[str, Any], OR_EMPTY, AfterValidator(_checked_signals)] = Field(
         {}, description="Signals by their names, as the section `signals` of a rig file."
     )
 

@@ -32,7 +32,7 @@ class TopicSource:
     def __init__(self, settings: TopicSignal, node: Node) -> None:
         self._settings, self._node = settings, node
         self._topic = node.resolve_topic_name(settings.topic)
-        self._readings: queue.SimpleQueue[Reading | MachineError] = queue.SimpleQueue()
+        self._readings: queue.Queue[Reading | MachineError] = queue.Queue(_DEPTH)
         self._subscription: Subscription | None = None
         self._looked_s = -_LOOK_S
 
@@ -50,7 +50,7 @@ class TopicSource:
         found: list[Reading] = []
         with suppress(queue.Empty):
             while True:
-                each = self._readings.get(timeout=0 if found else _WAIT_S)
+                each = self._readings.get(not found, _WAIT_S)
                 if isinstance(each, MachineError):
                     raise each
                 found.append(each)
@@ -78,24 +78,24 @@ class TopicSource:
         )
 
     def _take(self, message: Any) -> None:
+        with suppress(queue.Full):  # of a node that is not active, or of messages without such a number
+            self._readings.put_nowait(self._reading(message))
+
+    def _reading(self, message: Any) -> Reading | MachineError:
         now = time.time_ns()
         try:
             value = _number(message, self._settings.field)
             stamp = now if self._settings.clock == "arrival" else _stamp(message)
         except (AttributeError, IndexError, TypeError, ValueError) as error:
-            self._readings.put(
-                MachineError(
-                    f"topic {self._topic}: a message of type {type(message).__name__} has no number "
-                    f"'{self._settings.field}' ({error}); correct field"
-                )
+            return MachineError(
+                f"topic {self._topic}: a message of type {type(message).__name__} has no number "
+                f"'{self._settings.field}' ({error}); correct field"
             )
-            return
         if stamp == 0:
-            self._readings.put(
-                MachineError(f"topic {self._topic}: its messages have no stamp; write clock: arrival in the rig file")
+            return MachineError(
+                f"topic {self._topic}: its messages have no stamp; write clock: arrival in the rig file"
             )
-            return
-        self._readings.put(Reading(stamp, value))
+        return Reading(stamp, value)
 
 
 def _message_type(name: str, topic: str) -> Any:
