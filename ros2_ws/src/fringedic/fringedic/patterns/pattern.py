@@ -79,9 +79,7 @@ class ProjectedPattern:
 
 
 WHITE = ProjectedPattern(PatternKind.WHITE)
-UNIFORM = ProjectedPattern(
-    PatternKind.GREY, shift=50, shifts=51
-)  # as bright as white: the brightest fringe, 250 of 255
+UNIFORM = ProjectedPattern(PatternKind.GREY, shift=50, shifts=51)  # as bright as the brightest fringe, 250 of 255
 SETUP = ProjectedPattern(PatternKind.OTHER)  # one of the named set-up patterns
 
 

@@ -110,8 +110,8 @@ def demodulate_moving(
         Of the middle of each exposure [s], rising.
     patterns
         Pattern of each frame: fringes of one orientation, pitches coarse to fine, whole cycles of q >= 3 shifts, at
-        least 5 frames of the finest pitch. Frames of white
-        or grey light next to the finest pitch add to the texture; others are ignored.
+        least 5 frames of the finest pitch. Frames of white or grey light next to the finest pitch add to the texture;
+        others are ignored.
     displacement
         Motion of the material points; its time 0 is the middle of the frames of the finest pitch.
     settings
