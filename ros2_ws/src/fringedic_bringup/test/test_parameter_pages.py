@@ -22,6 +22,7 @@ DECLARATIONS = {
     "player": "player_node.player_node:PlayerParameters",
     "projector": "fringedic.settings.projector:ProjectorNodeSettings",
     "recorder": "fringedic.settings.recorder:RecorderNodeSettings",
+    "signals": "fringedic.settings.signals:SignalsNodeSettings",
     "stage": "load_frame_node.stage_node:StageParameters",
 }
 
