@@ -285,6 +285,19 @@ def test_lines_that_do_not_fit_are_told(settings: dict[str, Any], text: str, rea
     line.close()
 
 
+def test_a_line_that_does_not_fit_takes_no_others_with_it() -> None:
+    line = Line()
+    source = SerialSource(SerialSignal(device=line.device, unit="1"))
+    assert source.read() == []
+    line.print("first\n1\ncalibrating\n2\n")
+    readings = []
+    while len(readings) < 2:
+        readings += source.read()
+    assert [each.value for each in readings] == [1.0, 2.0]
+    source.close()
+    line.close()
+
+
 def test_a_serial_device_that_is_not_there_is_told_and_tried_again(tmp_path: Path) -> None:
     source = SerialSource(SerialSignal(device=str(tmp_path / "ttyACM0"), unit="1"))
     for _ in range(2):
@@ -313,6 +326,9 @@ def test_files_of_machines_and_instruments_have_signals(tmp_path: Path) -> None:
     description = load_instrument(file)
     assert [name for name, _ in description.entries()] == ["signals.grip"]
     assert description.signals["grip"].si(20.0) == pytest.approx(293.15)
+    strain = description.signals["grip"].model_copy(update={"unit": "mV", "scale": 0.1})
+    assert strain.si(20.0) == pytest.approx(2e-3)
+    assert math.isnan(strain.si(9.91e37)), "of SCPI: not a number"
     with pytest.raises(ConfigurationError, match="force: Field required"):
         load_machine(file)
     file.write_text(yaml.safe_dump({**content, "signals": {"grip": {"query": "T?", "unit": "stone"}}}))

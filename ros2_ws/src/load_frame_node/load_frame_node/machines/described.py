@@ -22,14 +22,6 @@ _LATEST_TIME_S = 9e9  # 285 years: later times exceed 64 bits of nanoseconds
 _STANDSTILL_S = 1.0  # a clock that has not advanced for this time means that the machine repeats an old sample
 
 
-_NO_NUMBER = 9.9e37  # of SCPI: 9.91E37 is not a number, 9.9E37 an overload
-
-
-def _measured(value: float) -> float:
-    """Return a value of a further signal, NaN for one that is no measurement."""
-    return value if abs(value) < _NO_NUMBER else math.nan
-
-
 class Reading(NamedTuple):
     """One reading: monotonic time [ns], force [N], position [m]; status and time [s] when the machine reports them.
 
@@ -235,7 +227,7 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
                 raise answer.error
             values[answer.entry] = answer.value
         acquired = (before + time.monotonic_ns()) // 2
-        signals = {name: _measured(values[f"{SIGNAL}{name}"]) for name in self.description.signals}
+        signals = {name: values[f"{SIGNAL}{name}"] for name in self.description.signals}
         force, position = values.get("force", math.nan), values.get("position", math.nan)
         return Reading(acquired, force, position, values.get("status"), values.get("time"), signals)
 

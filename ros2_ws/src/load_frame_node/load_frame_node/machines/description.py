@@ -43,9 +43,10 @@ SpeedUnit = Literal["um/s", "mm/s", "mm/min", "m/s"]
 TimeUnit = Literal["us", "ms", "s"]
 
 _SI = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "um": 1e-6, "mm": 1e-3, "m": 1.0}
-DescriptionT = TypeVar("DescriptionT")
 _SI |= {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _SI |= {"um/s": 1e-6, "mm/s": 1e-3, "mm/min": 1e-3 / 60, "m/s": 1.0}
+_NO_NUMBER = 9.9e37  # of SCPI: 9.91E37 is not a number, 9.9E37 an overload
+DescriptionT = TypeVar("DescriptionT")
 
 _BEYOND_LIMITS_MM = 2000.0  # a crosshead is parked outside the range of a test, but not further than its frame is high
 
@@ -108,8 +109,13 @@ class ScaledSignal(Scaled):
         return unit
 
     def si(self, number: float, unit: str | None = None) -> float:
-        """Return the SI value of a number received from the machine; a unit that it has named is that of the file."""
+        """Return the SI value of a number received from the machine, NaN for one that states that nothing is measured.
+
+        A unit that it has named is that of the file.
+        """
         assert unit in (None, self.unit), "others are refused before"
+        if abs(number) >= _NO_NUMBER:
+            return math.nan
         return self._unit.factor * (self.scale * number + self.offset) + self._unit.zero
 
     @property

@@ -46,7 +46,7 @@ class SerialSource:
         Raises
         ------
         MachineError
-            The device cannot be opened or was lost, or a line has no such number.
+            The device cannot be opened or was lost, or no line has such a number.
         """
         try:
             if self._port is None:
@@ -85,11 +85,17 @@ class SerialSource:
         """Return the readings of lines of which a byte took a time [ns]; the buffer came after the last one."""
         later = len(self._buffer)
         found: list[Reading] = []
+        wrong: MachineError | None = None
         for line in reversed(lines):
             later += len(line) + 1
             text = line.decode("latin-1").strip()
-            if text:
-                found.append(Reading(now - round(later * of_byte), self._number(text)))
+            try:
+                if text:
+                    found.append(Reading(now - round(later * of_byte), self._number(text)))
+            except MachineError as error:  # such as a comment among the numbers
+                wrong = error
+        if wrong is not None and not found:
+            raise wrong
         # a device on USB is not bound to the rate of the line, and may send at once what it has kept
         for place, each in enumerate(reversed(found)):
             self._latest_ns = max(self._latest_ns + 1, each.stamp_ns)
