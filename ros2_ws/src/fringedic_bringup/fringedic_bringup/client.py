@@ -430,9 +430,10 @@ class RigClient:
             self._own_hold = None
 
     def request_cancel(self) -> None:
-        """Request the end of the move or the step that is running, without waiting; also from its feedback."""
-        if self._running is not None:
-            self._running.handle.cancel_goal_async()
+        """Request the end of the move and the step that are running, without waiting; also from their feedback."""
+        for running in (self._moving, self._running):
+            if running is not None:
+                running.handle.cancel_goal_async()
         self._cancels_sent = self._sent is not None  # feedback may come before the answer to the goal
 
     def cancel(self, timeout_s: float = 10.0) -> None:

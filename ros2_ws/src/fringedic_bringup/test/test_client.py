@@ -27,7 +27,7 @@ from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.spinning import Spinning
 from fringedic_ros.waiting import AGAIN_S, sleep
 
-SLOW, SILENT, FAILING = 1e-3, 2e-3, 3e-3  # positions, for moves of these kinds
+SLOW, SILENT, FAILING, CANCELLED = 1e-3, 2e-3, 3e-3, 7e-3  # positions, for moves of these kinds
 STOPS = {  # and for those that end with these codes
     4e-3: MoveCrosshead.Result.CANCELLED,
     5e-3: MoveCrosshead.Result.MACHINE_FAULT,
@@ -80,6 +80,9 @@ class Rig(Node):
         while time.monotonic() < end:
             if goal.request.position == SLOW:
                 goal.publish_feedback(MoveCrosshead.Feedback())
+            if goal.request.position == CANCELLED and goal.is_cancel_requested:
+                goal.canceled()
+                return MoveCrosshead.Result(error_code=MoveCrosshead.Result.CANCELLED)
             await sleep(self, 0.1)
         goal.succeed()
         return MoveCrosshead.Result(position=goal.request.position)
@@ -312,3 +315,20 @@ def test_a_signal_that_no_longer_comes_is_not_known_while_stacks_are_measured(
     assert len(stacks) >= 2
     assert math.isnan(readings[-1].signals["grip"])
     assert 0 <= readings[0].duration < readings[-1].duration
+
+
+def test_a_cancel_between_two_stacks_ends_the_move(rig: Rig) -> None:
+    """No stack was running, so that nothing was cancelled, and the machine went on."""
+    rig.step_s = 0.1
+    stacks: list[int] = []
+    with RigClient() as controller:
+        controller.wait_for(rig.loads.get_subscription_count, 30, lambda: "the subscription of the client")
+        rig.loads.publish(LoadState(mode=LoadState.MOVING))
+
+        def measured(result: MeasureStep.Result, _: bool) -> None:
+            stacks.append(result.step)
+            controller.request_cancel()
+
+        with pytest.raises(MoveStoppedError):
+            controller.measure_while_moving(CANCELLED, 1e-3, every_s=0.5, measured=measured)
+    assert len(stacks) == 1
