@@ -24,7 +24,6 @@ from pydantic import (
     ConfigDict,
     Field,
     StrictStr,
-    StringConstraints,
     TypeAdapter,
     ValidationError,
     field_validator,
@@ -32,6 +31,7 @@ from pydantic import (
 )
 
 from fringedic.errors import ConfigurationError
+from fringedic.settings.signals import SignalName
 from fringedic.signals import Channel
 from fringedic.signals.units import Unit, find_unit, known_units
 from fringedic.wording.yaml_text import load_yaml
@@ -135,7 +135,6 @@ class ScaledSignal(Scaled):
 
 SIGNAL = "signals."
 """Begin of the name of the entry of a further signal."""
-SignalNames = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 BitNumbers = list[Annotated[int, Field(ge=0, le=63)]]
 
 
@@ -361,7 +360,7 @@ class ModbusDescription(MachineSection):
     position: LengthRegister
     time: TimeRegister | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusRegister | None = None
-    signals: dict[SignalNames, SignalRegister] = Field({}, description="Further signals by their names.")
+    signals: dict[SignalName, SignalRegister] = Field({}, description="Further signals by their names.")
     move: ModbusMove | None = None
     hold: Switch | None = None
 
@@ -503,7 +502,7 @@ class ScpiDescription(MachineSection):
     position: LengthQuery
     time: TimeQuery | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusQuery | None = None
-    signals: dict[SignalNames, SignalQuery] = Field({}, description="Further signals by their names.")
+    signals: dict[SignalName, SignalQuery] = Field({}, description="Further signals by their names.")
     move: ScpiMove | None = None
     hold: list[str] = Field([], description="Commands that request a hold.")
 
@@ -554,7 +553,7 @@ class ModbusInstrument(ModbusDescription):
 
     force: None = None  # type: ignore[assignment]
     position: None = None  # type: ignore[assignment]
-    signals: dict[SignalNames, SignalRegister] = Field(min_length=1)
+    signals: dict[SignalName, SignalRegister] = Field(min_length=1)
 
 
 class ScpiInstrument(ScpiDescription):
@@ -562,7 +561,7 @@ class ScpiInstrument(ScpiDescription):
 
     force: None = None  # type: ignore[assignment]
     position: None = None  # type: ignore[assignment]
-    signals: dict[SignalNames, SignalQuery] = Field(min_length=1)
+    signals: dict[SignalName, SignalQuery] = Field(min_length=1)
 
 
 InstrumentDescription = ModbusInstrument | ScpiInstrument
