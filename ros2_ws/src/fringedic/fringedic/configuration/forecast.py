@@ -12,9 +12,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from fringedic.configuration.programme import Programme, ProgrammeStep
+from fringedic.configuration.programme import MOST_STEPS, Programme, ProgrammeStep
 from fringedic.configuration.rig_file import RigFile
-from fringedic.errors import ErrorCode, RecordingError
+from fringedic.errors import ConfigurationError, ErrorCode, RecordingError
 
 # Times [s] on two cores; those of frames and maps from benchmarks/system.py
 START_TIME = 10.0  # of the nodes
@@ -114,6 +114,11 @@ def forecast(rig: RigFile, programme: Programme, done: int = 0) -> Forecast:
     done
         How many of them an earlier command did. Those after them are forecast; at the end all parts of the recording
         are joined, and all steps are measured again from their frames.
+
+    Raises
+    ------
+    ConfigurationError
+        A move is so slow that it has more than `MOST_STEPS` stacks.
 
     Examples
     --------
@@ -232,7 +237,13 @@ class _Costs:
                 if self.rig.camera.source == "virtual":  # every frame shows another position
                     frame_time += RENDERING_TIME[0] * self.pixels
                 of_one = STEP_TIME + self.frames(step) * frame_time + self.evaluation_time(step)
-                measured += [step] * (1 + int(way / step.speed / max(of_one, step.every_s) + _ROUNDING))
+                count = way / step.speed / max(of_one, step.every_s)
+                if count >= MOST_STEPS:
+                    raise ConfigurationError(
+                        f"the move to {step.position_mm:g} mm at {step.speed_mm_per_s:g} mm/s has more than "
+                        f"{MOST_STEPS} stacks; increase speed_mm_per_s or every_s"
+                    )
+                measured += [step] * (1 + int(count + _ROUNDING))
             elif step.mode != "none":
                 measured.append(step)
         return measured

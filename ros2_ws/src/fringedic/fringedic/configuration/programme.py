@@ -1,6 +1,7 @@
 """Test programmes: moves, holds and measurements in their order, repeated, and ended by conditions.
 
-The number of steps has an upper bound that is known before the test, except for stacks that are measured during a move.
+The number of steps has an upper bound that is known before the test; how often a move is measured depends on the rig,
+see `fringedic.configuration.forecast`.
 """
 
 from __future__ import annotations

@@ -234,6 +234,9 @@ def test_a_move_is_forecast_with_the_stacks_during_it() -> None:
     )
     assert (slow.measured, fast.measured) == (1 + 13, 1 + 2), "60 s and 6 s, a stack every 5 s"
     assert slow.duration - fast.duration == pytest.approx(54, abs=0.1)
+    endless = programme("{continuous: {to_mm: 0.6, speed_mm_per_s: 1.0e-12, every_s: 5}}")
+    with pytest.raises(ConfigurationError, match=r"the move to 0.6 mm at 1e-12 mm/s has more than 100000 stacks"):
+        forecast(rig, endless)
 
 
 def test_a_sequence_that_cannot_follow_a_motion_is_refused_before_the_test() -> None:
