@@ -3,6 +3,7 @@
 import { make, patch } from "./elements.js";
 
 const HELP = {
+  tests: ["The tests of this rig. The name of a test opens its maps, curves and 3D. A series has one button for each specimen.", "operator#tests"],
   setup: ["The list shows what a rig needs before a test, in order. Open an item, measure or adjust it, and use its result. What depends on a later change is out of date and says so.", "operator#set-up"],
   live: ["The image of the camera with focus, grey levels and advice. Red pixels are saturated: shorten the exposure or close the aperture.", "operator#live"],
   run: ["Choose or write a programme, look at its table and curve, and start it. It can be paused after each step; Request hold asks the machine to stop and is no emergency stop.", "operator#run"],
@@ -10,6 +11,7 @@ const HELP = {
   curves: ["Any signal and value of the steps over another one. A curve is interrupted where the reference changes.", "operator#maps-curves-3d"],
   space: ["The surface with its displacement, which is magnified. Drag to turn it, and use the wheel to come closer.", "operator#maps-curves-3d"],
   evaluate: ["Change window, region, reference or gauge, preview one step, and compute a named evaluation beside the results. A larger window has less noise and shows smaller features too flat.", "command#evaluate"],
+  compare: ["Two tests beside each other: what was entered, a curve of both, and a map of each with the same colours.", "operator#tests"],
   log: ["Messages of the nodes, their states, the disk and the load frame. A warning says what to do.", "troubleshooting"],
 };
 const shown = make("button", { id: "help", type: "button", "aria-expanded": "false", "aria-controls": "help-text", "aria-label": "Help for this view", onclick: () => toggle(text.hidden) }, "?");
