@@ -78,6 +78,7 @@ class FormField(Section):
 SPECIMEN = "specimen"  # name of the field that tells the specimens of a series apart
 DEFAULT_FORM = (
     FormField(name=SPECIMEN, entry="name"),
+    FormField(name="specimen number", entry="number"),
     FormField(name="material", entry="material"),
     FormField(name="width [mm]", kind="number", minimum=0),
     FormField(name="thickness [mm]", kind="number", minimum=0),
@@ -85,7 +86,8 @@ DEFAULT_FORM = (
     FormField(name="direction"),
     FormField(name="operator", entry="operator"),
     FormField(name="standard"),
-    FormField(name="customer's number"),
+    FormField(name="test number", entry="test_number"),
+    FormField(name="customer", entry="customer"),
     FormField(name="notes", entry="notes"),
 )
 

@@ -11,10 +11,11 @@ import yaml
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.test_card import Card, load_card
-from fringedic.configuration.test_form import FormField, answered_specimen
+from fringedic.configuration.test_form import DEFAULT_FORM, FormField, answered_specimen
 from fringedic.configuration.test_series import Series, load_series, series_file
 from fringedic.errors import ConfigurationError
 from fringedic.metadata import SpecimenMetadata
+from fringedic.report.laboratory import Laboratory
 
 RIG: dict[str, Any] = {"camera": {"source": "virtual"}, "virtual_rig": {"preset": "plate", "size": "tiny"}}
 FORM = [
@@ -31,6 +32,11 @@ def test_answers_become_entries_of_the_specimen() -> None:
     found = answered_specimen(FORM, before, answers)
     assert (found.name, found.section_mm2, found.operator) == ("plate 7", 50.0, "Weber")
     assert found.entries == {"kept": "yes", "direction": "T"}, "an empty answer removes that of the rig file"
+
+
+def test_the_form_asks_for_what_the_certificate_shows_of_a_specimen() -> None:
+    shown = set(Laboratory().details.values()) & SpecimenMetadata.model_fields.keys()
+    assert {"customer", "test_number", "number"} <= shown <= {field.entry for field in DEFAULT_FORM}
 
 
 @pytest.mark.parametrize(

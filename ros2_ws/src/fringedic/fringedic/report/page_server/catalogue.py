@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from fringedic.configuration.test_card import Card, load_card
-from fringedic.configuration.test_form import SPECIMEN
+from fringedic.configuration.test_form import DEFAULT_FORM, SPECIMEN, answers_of
 from fringedic.datasets import open_experiment
 from fringedic.datasets.attributes import recorded_metadata
 from fringedic.datasets.opening import RESULTS
@@ -75,8 +75,7 @@ class RecordedTest:
         answers = dict(self.card.answers) if self.card is not None else {}
         specimen = self.found.specimen if self.found is not None else None
         if specimen is not None:
-            named = {SPECIMEN: specimen.name, "material": specimen.material, "operator": specimen.operator}
-            answers = {name: text for name, text in named.items() if text} | specimen.entries | answers
+            answers = answers_of(DEFAULT_FORM, specimen) | specimen.entries | answers
         state, verdict = self._verdict()
         return {
             "name": self.folder.name,

@@ -19,7 +19,12 @@ from fringedic.report.page_server.catalogue import Catalogue, opened_test, small
 from fringedic.report.page_server.marks import MARKS, Asked, KeepMarks, Mark, Marks, load_marks, readings
 from fringedic.report.page_server.recorded import RecordedRig
 
-PLATE_7: dict[str, str | float] = {"specimen": "plate 7", "operator": "M. Weber", "width [mm]": 25.0}
+PLATE_7: dict[str, str | float] = {
+    "specimen": "plate 7",
+    "operator": "M. Weber",
+    "customer": "Smith",
+    "width [mm]": 25.0,
+}
 
 
 def listed(catalogue: Catalogue, folder: Path) -> list[dict[str, Any]]:
@@ -48,7 +53,7 @@ def test_tests_are_listed_with_specimen_operator_and_result(tmp_path: Path) -> N
 def test_specimen_of_a_test_that_was_started_elsewhere_is_that_of_its_dataset(tmp_path: Path) -> None:
     (write_test(tmp_path, "plate-7", PLATE_7, stretch=1e-3) / "test.yaml").unlink()
     [found] = listed(Catalogue(), tmp_path)
-    assert (found["specimen"], found["answers"]["width [mm]"], found["continues"]) == ("plate 7", 25.0, False)
+    assert (found["specimen"], found["answers"], found["continues"]) == ("plate 7", PLATE_7, False)
 
 
 def test_a_damaged_dataset_does_not_hide_the_others(tmp_path: Path) -> None:

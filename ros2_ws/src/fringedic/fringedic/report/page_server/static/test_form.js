@@ -6,6 +6,7 @@ import { numberField } from "./numbers.js";
 import { latest } from "./stream.js";
 
 export const SPECIMEN = "specimen"; // the field that tells the specimens of a series apart
+const OF_ONE_TEST = ["name", "number", "test_number"]; // entries of the specimen that differ from test to test
 let of = "", fields = []; // the form that the fields belong to; they keep what was typed while views change
 
 // The fields as labels; they are made again when the rig file has another form.
@@ -18,9 +19,9 @@ export function formParts() {
     last ? button("Fill in as the last test", { id: "as-last", onclick: () => fill(last.answers) }) : null];
 }
 
-// Fills the form, but for the specimen: the next one has another name.
+// Fills the form, but for what the next test has of its own.
 function fill(answers) {
-  for (const { name, input } of fields) if (name !== SPECIMEN && name in answers) input.value = String(answers[name]);
+  for (const { name, entry, input } of fields) if (name !== SPECIMEN && !OF_ONE_TEST.includes(entry) && name in answers) input.value = String(answers[name]);
 }
 
 // The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes what the rig file says.
@@ -31,14 +32,14 @@ export function testAnswers() {
   return Object.fromEntries(found.map(([name, value]) => [name, value ?? ""]).filter(([name, value]) => value !== "" || name in written));
 }
 
-function formField({ name, kind, choices, minimum, maximum, required }, value) {
+function formField({ name, entry, kind, choices, minimum, maximum, required }, value) {
   const id = `test-${name.replace(/[^a-z0-9]+/gi, "-")}`, label = required ? `${name} (required)` : name;
   if (kind === "number") {
     const { input, found } = numberField({ id, min: minimum ?? -Infinity, max: maximum ?? Infinity, value: value === undefined ? "" : String(value), required });
-    return { name, input, found, element: keep(make("label", {}, label, input)) };
+    return { name, entry, input, found, element: keep(make("label", {}, label, input)) };
   }
   const input = choices ? make("select", { id, required }) : make("input", { id, type: "text", maxlength: 1000, autocomplete: "off", required });
   if (choices) options(input, [["", "–"], ...choices.map((each) => [each, each])], value ?? "");
   else input.value = value ?? "";
-  return { name, input, found: () => input.value.trim(), element: keep(make("label", {}, label, input)) };
+  return { name, entry, input, found: () => input.value.trim(), element: keep(make("label", {}, label, input)) };
 }
