@@ -27,7 +27,7 @@ MOST_BYTES = 2_000_000_000  # of the maps of a running test
 _TESTED_ROWS = 16
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _IN_PLANE = ("displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
-OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
+_SIGMAS = ("sigma_u", "sigma_v", "sigma_w")
 
 
 class StepMaps(Protocol):
@@ -268,16 +268,24 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
     DatasetError
         A gauge point lies outside the result, or no step has a displacement.
     """
-    readings = []
-    for step, names in maps.names().items():
-        wanted = [name for name in OF_A_GAUGE if name in names]
-        if set(_POSITION + _DISPLACEMENT) <= set(wanted):
-            found = extensometer(maps.dataset(step, wanted), first, second, subset=subset)
-            values = {str(name): float(found[name]) for name in found}
-            readings.append({"step": step, **values})
-    if not readings:
+    steps = [step for step, names in maps.names().items() if set(_POSITION + _DISPLACEMENT) <= set(names)]
+    if not steps:
         raise DatasetError("no step has a displacement yet: measure two steps")
-    return readings
+    return [{"step": step, **gauge_at(maps, step, first, second, subset)} for step in steps]
+
+
+def gauge_at(maps: StepMaps, step: int, first: Point, second: Point, subset: float) -> dict[str, float]:
+    """Return the readings of a virtual extensometer at one step; the arguments are those of `gauge`.
+
+    Raises
+    ------
+    DatasetError
+        A gauge point lies outside the result, or the step has no displacement of a surface.
+    """
+    known = maps.names().get(step, ())
+    sigmas = [name for name in _SIGMAS if name in known]
+    found = extensometer(maps.dataset(step, [*_POSITION, *_DISPLACEMENT, *sigmas]), first, second, subset=subset)
+    return {str(name): float(found[name]) for name in found}
 
 
 @functools.cache

@@ -12,12 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.datasets.quantities import sigma_of
-from fringedic.errors import FringedicError, OperatorError
-from fringedic.evaluation import extensometer, region_statistics
+from fringedic.errors import DatasetError, FringedicError, OperatorError
+from fringedic.evaluation import region_statistics
 from fringedic.evidence.changes import noted
 from fringedic.frames.region import Point, Polygon, Region
 from fringedic.recording.manifest import write_whole
-from fringedic.report.page_server.maps import OF_A_GAUGE, StepMaps, line
+from fringedic.report.page_server.maps import StepMaps, gauge_at, line
+from fringedic.surface.planes import spacing_of
 from fringedic.wording.causes import cause_of
 
 MARKS = "marks.yaml"
@@ -164,15 +165,19 @@ def _with_sigma(maps: StepMaps, step: int, name: str) -> list[str]:
 
 
 def _of_gauge(maps: StepMaps, step: int, mark: Mark, subset: float) -> dict[str, Any]:
-    names = [name for name in OF_A_GAUGE if name in maps.names()[step]]
-    found = extensometer(maps.dataset(step, names), *mark.corners, subset=subset)
-    sigma = float(found["sigma_strain"]) if "sigma_strain" in found else np.nan
-    return {"value": float(found["strain"]), "sigma": sigma, "length": float(found["length"])}
+    first, second = mark.corners
+    found = gauge_at(maps, step, first, second, subset)
+    return {"value": found["strain"], "sigma": found.get("sigma_strain", np.nan), "length": found["length"]}
 
 
 def _of_point(maps: StepMaps, step: int, name: str, point: Point) -> dict[str, Any]:
     names = _with_sigma(maps, step, name)
-    nearest = maps.dataset(step, names).sel(column=point[0], row=point[1], method="nearest")
+    dataset = maps.dataset(step, names)
+    half = abs(spacing_of(dataset["column"].values)) / 2
+    try:
+        nearest = dataset.sel(column=point[0], row=point[1], method="nearest", tolerance=half)
+    except KeyError as error:
+        raise DatasetError(f"the point {point} px (column, row) lies outside the result") from error
     values = [float(nearest[each]) for each in names]
     return {"value": values[0], "sigma": values[1] if len(values) > 1 else np.nan}
 

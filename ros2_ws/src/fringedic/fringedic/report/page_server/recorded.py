@@ -42,7 +42,6 @@ class RecordedRig:
             "steps": [self._step(index, 2 if names[step] else 0) for index, step in enumerate(names)],
             "signals": [self._signal(name) for name in signal_names(self.maps.experiment)],
             "quantities": [described(name) for name in MAPS if name in measured],
-            "marks": shown_marks(self._folder),
         }
 
     @property
@@ -51,8 +50,8 @@ class RecordedRig:
         return self._maps
 
     def snapshot(self) -> dict[str, Any]:
-        """Return title, steps and names of the maps."""
-        return self._snapshot
+        """Return title, steps, names of the maps, and the marks, which another page may have changed."""
+        return {**self._snapshot, "marks": shown_marks(self._folder)}
 
     def folders(self) -> Mapping[str, Path]:
         """Return the folder of the dataset, which also contains the report of a run."""
@@ -76,7 +75,6 @@ class RecordedRig:
         if not isinstance(command, KeepMarks) or command.test:
             raise OperatorError(NO_RIG)
         await asyncio.to_thread(command.save, self._folder)
-        self._snapshot = {**self._snapshot, "marks": shown_marks(self._folder)}
         return "kept with the test"
 
     async def check(self, text: str) -> dict[str, Any]:  # noqa: ARG002 (that of `Rig`)

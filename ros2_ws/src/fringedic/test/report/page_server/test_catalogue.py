@@ -16,6 +16,7 @@ from fringedic.errors import ConfigurationError, OperatorError
 from fringedic.evidence.changes import begin_log
 from fringedic.evidence.log import read_log
 from fringedic.report.page_server.catalogue import Catalogue, opened_test, small_picture
+from fringedic.report.page_server.maps import SpooledMaps
 from fringedic.report.page_server.marks import MARKS, Asked, KeepMarks, Mark, Marks, load_marks, readings
 from fringedic.report.page_server.recorded import RecordedRig
 
@@ -98,8 +99,25 @@ def test_marks_read_the_values_of_the_dataset(tmp_path: Path) -> None:
     assert (line[1]["minimum"], line[1]["maximum"]) == pytest.approx((0, 8e-6), rel=1e-5)
     assert (area[2]["value"], area[2]["maximum"], area[2]["measured"]) == pytest.approx((8e-6, 16e-6, 1.0), rel=1e-5)
     assert "no point of the result" in far[0]["problem"]
+    outside = readings(rig.maps, Asked(name="u", marks=[Mark(name="P", kind="point", points=[[900.0, 40.0]])]))[0]
+    assert "lies outside the result" in outside[0]["problem"]
     [[one]] = readings(rig.maps, Asked(name="u", marks=marks[:1], steps=[2]))
     assert one["step"] == 2
+
+
+def test_an_extensometer_has_no_reading_at_a_step_without_a_surface(tmp_path: Path) -> None:
+    maps = SpooledMaps(tmp_path)
+    maps.put(0, {"displacement_x": np.zeros((5, 5), np.float32)}, spacing=8)
+    gauge = Mark(name="G", kind="gauge", points=[[0.0, 8.0], [32.0, 8.0]])
+    [[reading]] = readings(maps, Asked(name="displacement_x", marks=[gauge]))
+    assert "step 0 has no map x, y, z" in reading["problem"]
+
+
+def test_marks_that_another_page_kept_are_those_of_an_opened_test(tmp_path: Path) -> None:
+    rig = RecordedRig(write_test(tmp_path, "plate-7", PLATE_7, stretch=1e-3) / "results.nc")
+    assert rig.snapshot()["marks"]["notes"] == {}
+    Marks(notes={1: "of the page of the test that ran last"}).save(rig.folder)
+    assert rig.snapshot()["marks"]["notes"] == {1: "of the page of the test that ran last"}
 
 
 def test_marks_and_notes_are_kept_with_the_test_and_noted_in_its_log(tmp_path: Path) -> None:
