@@ -552,11 +552,16 @@ def test_two_tests_are_compared(page: Page, rig: ShownRig) -> None:
     expect(page.locator("polyline.curve")).to_have_count(2)
     expect(page.locator("#entries tr", has_text="width [mm]")).to_have_text("width [mm]2728")
     page.select_option("#compare-quantity", "u")
+    texts = page.locator("p.readout")
     maps = page.locator("canvas.map")
     expect(maps.nth(1)).to_have_attribute("aria-label", re.compile("u of plate-8, step 2"))
     maps.nth(0).hover()
-    values = [float(each.split()[0]) for each in page.locator("p.readout").all_inner_texts()]
+    expect(texts.nth(1)).to_contain_text("± 0.10 µm at column")
+    values = [float(each.split()[0]) for each in texts.all_inner_texts()]
     assert values[1] == pytest.approx(2 * values[0], rel=1e-3), "the same point, with twice the strain"
+    for choice in ("#test-0", "#test-1"):
+        page.select_option(choice, "")
+    expect(page.locator("canvas.map[aria-label]")).to_have_count(0)
 
 
 def test_a_test_and_a_series_begin_with_the_answers_of_the_form(page: Page, rig: ShownRig) -> None:
@@ -620,12 +625,16 @@ def test_form_and_text_are_one_programme(page: Page) -> None:
     expect(page.locator("#run")).to_be_disabled()
     page.fill("#programme", "{steps: [{hold_s: 5, mode: none}, {}]}")
     expect(page.locator("#form legend")).to_have_text(["Hold", "Step"])
-    page.fill("#programme", "{continuous: {to_mm: 0.4, speed_mm_per_s: 0.01}}")
-    expect(page.locator("#form")).to_contain_text("A move that is measured while it lasts")
-    page.fill("#form-experiment", "slow")
-    page.press("#form-experiment", "Tab")
-    expect(page.locator("#programme")).to_have_value(re.compile("experiment: slow"))
-    assert parse_programme(page.locator("#programme").input_value()).continuous is not None
+    expect(page.locator("#form [data-key=every_s]").last).to_be_hidden()
+    page.select_option("#form [data-key=mode]", "moving")
+    expect(page.locator("#form [data-key=every_s]").last).to_be_visible()
+    page.fill("#programme", "continuous: {to_mm: 0.4, speed_mm_per_s: 0.02}")
+    expect(page.locator("#form legend")).to_have_text(["Measured move"])
+    page.locator("#form .add-step").click()
+    expect(page.locator("#form legend")).to_have_text(["Measured move", "Step"])
+    written = parse_programme(page.locator("#programme").input_value())
+    assert [step.mode for step in written.load_steps()] == ["fringes", "moving", "fringes"]
+    expect(page.locator("#plan td:first-child")).to_have_text(["0", "1, …", "…"])
     page.check("#of-file")
 
 
@@ -678,6 +687,30 @@ def test_marks_and_notes_are_kept_with_their_test(page: Page, rig: ShownRig) -> 
     expect(page.locator("text.name")).to_have_text("left")
     kept = load_marks(rig.folder / "recordings" / "plate-7")
     assert [(each.name, each.kind, len(each.points)) for each in kept.marks] == [("left", "area", 3)]
+    Marks().save(rig.folder / "recordings" / "plate-7")
+
+
+def test_a_note_stays_that_of_its_step_and_its_test(page: Page, rig: ShownRig) -> None:
+    rig.show_tests()
+    rig.show(**map_state(0))
+    view(page, "maps")
+    expect(page.locator("#marks h3")).to_have_text("Note on step 0")
+    page.locator("#note").press_sequentially("a crack")
+    rig.show(**map_state(0, 1))
+    expect(page.locator("#step")).to_have_value("1")
+    page.locator("#note").press_sequentially(" begins")
+    expect(page.locator("#marks h3")).to_have_text("Note on step 0")
+    page.press("#note", "Tab")
+    wait_until(lambda: rig.commands, "the command")
+    assert rig.commands[-1].notes == {0: "a crack begins"}
+    expect(page.locator("#marks h3")).to_have_text("Note on step 1")
+    page.goto(page.url.partition("#")[0] + "#maps&test=plate-7")
+    expect(page.locator("#opened")).to_be_visible()
+    rig.delay_s = 0.5
+    page.fill("#note", "of plate 7")
+    page.click("#close-test")
+    expect(page.locator("#message")).to_contain_text("kept with the test")
+    expect(page.locator("#note")).to_have_value("")
     Marks().save(rig.folder / "recordings" / "plate-7")
 
 

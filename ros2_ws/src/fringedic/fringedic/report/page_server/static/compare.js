@@ -1,7 +1,7 @@
 // Two tests beside each other: what was entered, their curves in one chart, and a map of each with the same colours.
 
 import { chart } from "./chart.js";
-import { make, number, options, patch, scaled } from "./elements.js";
+import { make, number, options, patch, scaled, withSigma } from "./elements.js";
 import { colourBar, MapCanvas, usualRange, valueAt } from "./map_canvas.js";
 import { newest, palettes, testTopics, tile, tried } from "./server.js";
 import { latest, listen } from "./stream.js";
@@ -28,7 +28,7 @@ class CompareView {
     this.quantity = choice("quantity", () => this.draw());
     [this.x, this.y] = ["x", "y"].map((name) => choice(name, () => this.paint()));
     this.steps = kept.names.map((_, k) => make("select", { id: `step-${k}`, "aria-label": `Step of test ${k + 1}`, onchange: () => this.draw() }));
-    this.maps = kept.names.map((_, k) => new MapCanvas((at) => this.read(k, at), () => {}));
+    this.maps = kept.names.map(() => new MapCanvas((at) => this.read(at), () => {}));
     this.words = kept.names.map(() => make("p", { class: "readout" }));
     this.curves = make("div");
     this.entries = make("table", { id: "entries" });
@@ -92,25 +92,30 @@ class CompareView {
 
   // Both maps with the range of both.
   async draw() {
-    const name = this.quantity.value, asked = this.topics.map((topics, k) => (topics && this.steps[k].value ? tile(this.steps[k].value, name, kept.names[k]).catch(() => null) : null));
-    const found = await tried(this.drawn(Promise.all([palettes(), ...asked])));
-    if (!found || !name) return;
-    const [colours, ...tiles] = found, known = tiles.filter(Boolean);
-    this.tiles = tiles;
-    if (!known.length) return;
-    this.described = this.topics.flatMap((topics) => topics?.quantities ?? []).find((each) => each.name === name);
+    const name = this.quantity.value, described = this.topics.flatMap((topics) => topics?.quantities ?? []).find((each) => each.name === name);
+    const asked = (map) => this.topics.map((topics, k) => (map && topics && this.steps[k].value ? tile(this.steps[k].value, map, kept.names[k]).catch(() => null) : null));
+    const found = await tried(this.drawn(Promise.all([palettes(), ...asked(name), ...asked(described?.sigma)])));
+    if (!found) return;
+    const [colours, ...maps] = found, tiles = maps.slice(0, 2), known = tiles.filter(Boolean);
+    [this.tiles, this.sigmas, this.described] = [tiles, maps.slice(2), described];
+    if (!known.length) { // no map rather than the one of another choice
+      this.maps.forEach((each) => each.clear());
+      this.low.textContent = this.high.textContent = "";
+      return;
+    }
     const ranges = known.map(({ values }) => usualRange(values)), low = Math.min(...ranges.map(([each]) => each)), high = Math.max(...ranges.map(([, each]) => each));
     tiles.forEach((each, k) => (each ? this.maps[k].show(each, colours.viridis, low, high, `${name} of ${kept.names[k]}, step ${this.steps[k].value}`) : this.maps[k].clear()));
-    const { factor, unit } = this.described;
+    const { factor, unit } = described;
     [this.low.textContent, this.high.textContent] = [low, high].map((value) => `${number(value / factor)} ${unit}`);
     colourBar(this.bar, colours.viridis);
   }
 
-  // The value at the same point of both.
-  read(k, at) {
-    this.tiles?.forEach((each, number_) => {
-      const inside = at && each && at.column < each.columns * each.spacing && at.row < each.rows * each.spacing;
-      this.words[number_].textContent = inside ? `${number(valueAt(each, at) / this.described.factor, 4)} ${this.described.unit} at column ${at.column}, row ${at.row}` : "";
+  // The value at the same point of both, with its standard deviation.
+  read(at) {
+    this.tiles?.forEach((each, k) => {
+      const inside = at && each && at.column < each.columns * each.spacing && at.row < each.rows * each.spacing, { factor, unit } = this.described ?? {};
+      const sigma = inside && this.sigmas[k] ? valueAt(this.sigmas[k], at) / factor : NaN;
+      this.words[k].textContent = inside ? `${withSigma(valueAt(each, at) / factor, sigma, unit)} at column ${at.column}, row ${at.row}` : "";
     });
   }
 }

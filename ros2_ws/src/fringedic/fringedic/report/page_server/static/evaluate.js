@@ -4,6 +4,7 @@ import { button, notDriving } from "./buttons.js";
 import { keep, make, options, patch } from "./elements.js";
 import { numberField, numbersField } from "./numbers.js";
 import { evaluations, newest, post, say, sentence, tried } from "./server.js";
+import { shownTest } from "./shown.js";
 import { latest, listen } from "./stream.js";
 
 const POLL_MS = 2000;
@@ -21,6 +22,7 @@ export function show(place) {
 class EvaluateView {
   constructor() {
     this.known = null;
+    this.opened = ""; // the earlier test that was opened last in the maps
     this.none = "";
     this.newest = newest();
     const change = () => patch(this.seen);
@@ -66,6 +68,9 @@ class EvaluateView {
 
   enter() {
     this.tests();
+    const test = shownTest();
+    if (test && test !== this.opened) this.test.value = `test ${test}`;
+    this.opened = test;
     this.look();
     const timer = setInterval(() => { if (this.known?.job?.state === "runs") this.look(); }, POLL_MS);
     const ends = [listen("tests", () => this.tests()), listen("wheel", () => this.paint()), () => clearInterval(timer)];

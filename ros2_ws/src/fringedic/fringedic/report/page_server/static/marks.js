@@ -16,6 +16,7 @@ export class MarksPanel {
     this.changed = changed;
     this.marks = [];
     this.notes = {};
+    this.noteOf = {}; // step and test of the note that is shown
     this.turn = newest();
     this.curveTurn = newest();
     this.name = keep(make("input", { id: "mark-name", type: "text", maxlength: 60, placeholder: "name" }));
@@ -40,7 +41,6 @@ export class MarksPanel {
 
   // The map that is shown: its step and its quantity; and what is drawn now and could be kept.
   show({ step, quantity }) {
-    if (this.step !== step) this.noteOf = null;
     [this.step, this.quantity] = [step, quantity];
     this.read();
     this.paint();
@@ -80,10 +80,13 @@ export class MarksPanel {
     const head = make("tr", {}, ...["name", "what", "value", "minimum", "maximum", "measured"].map((name, k) => make("th", { class: k < 2 ? "words" : "" }, name)), make("th"));
     patch(this.table, this.marks.length ? make("table", {}, head, ...this.marks.map((mark, k) => this.row(mark, this.found?.[k]))) : make("p", { class: "soft" }, "None yet: choose a tool, click the map, and keep what you have drawn."));
     if (!this.marks.some(({ name }) => name === this.plotted)) patch(this.curve);
-    this.noteTitle.textContent = this.step === undefined ? "" : `Note on step ${this.step}`;
-    this.note.hidden = this.step === undefined;
-    if (document.activeElement !== this.note || this.noteOf !== this.step) this.note.value = this.notes[this.step] ?? "";
-    this.noteOf = this.step;
+    const test = shownTest(), { step, ofTest } = this.noteOf, isWritten = document.activeElement === this.note && ofTest === test && this.note.value !== (this.notes[step] ?? "");
+    if (!isWritten) { // a note that is being written stays that of its step while the next one is measured
+      this.noteOf = { step: this.step, ofTest: test };
+      this.note.value = this.notes[this.step] ?? "";
+    }
+    this.noteTitle.textContent = this.noteOf.step === undefined ? "" : `Note on step ${this.noteOf.step}`;
+    this.note.hidden = this.noteOf.step === undefined;
     this.note.readOnly = Boolean(notDriving());
   }
 
@@ -105,16 +108,16 @@ export class MarksPanel {
   }
 
   keepNote() {
-    const notes = { ...this.notes, [this.step]: this.note.value };
-    if (!this.note.value.trim()) delete notes[this.step];
+    const { step } = this.noteOf, notes = { ...this.notes, [step]: this.note.value };
+    if (!this.note.value.trim()) delete notes[step];
     return this.keep(this.marks, notes);
   }
 
   // Keeps marks and notes with the test; shown when the server has them.
   async keep(marks, notes = this.notes) {
-    const answer = await command("marks", { test: shownTest(), marks, notes });
-    if (answer !== null) {
-      if (shownTest()) replaceShown("marks", { ...shown("marks"), marks, notes });
+    const test = shownTest(), answer = await command("marks", { test, marks, notes });
+    if (answer !== null && test === shownTest()) { // else another test is looked at meanwhile
+      if (test) replaceShown("marks", { ...shown("marks"), marks, notes });
       else this.take({ marks, notes });
     }
     return answer;

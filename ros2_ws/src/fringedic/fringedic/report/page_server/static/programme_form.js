@@ -4,13 +4,13 @@ import { button } from "./buttons.js";
 import { make } from "./elements.js";
 import { numberField } from "./numbers.js";
 
-const NUMBER = { position_mm: "to [mm]", from_mm: "from [mm]", to_mm: "to [mm]", steps: "steps", repeats_at_rest: "repeats at rest", speed_mm_per_s: "speed [mm/s]", hold_s: "hold [s]", times: "times" };
+const NUMBER = { position_mm: "to [mm]", from_mm: "from [mm]", to_mm: "to [mm]", steps: "steps", repeats_at_rest: "repeats at rest", speed_mm_per_s: "speed [mm/s]", hold_s: "hold [s]", times: "times", every_s: "from stack to stack [s]" };
 const WHOLE = ["steps", "repeats_at_rest", "times"];
 const LIMITS = { force_above_n: "force rises to [N]", force_below_n: "force falls to [N]", strain_above_percent: "strain rises to [%]", strain_below_percent: "strain falls to [%]", time_above_s: "time of the move [s]", valid_fraction_below: "measured part falls to (0 to 1)" };
 const OF_A_MOVE = Object.keys(LIMITS).filter((key) => key !== "valid_fraction_below"), OF_A_BLOCK = Object.keys(LIMITS).filter((key) => key !== "time_above_s");
-const MODES = [["fringes", "shape and displacement"], ["white", "one white frame"], ["none", "nothing"]];
+const MODES = [["fringes", "shape and displacement"], ["white", "one white frame"], ["none", "nothing"], ["moving", "shape and displacement during the move"]];
 const NEW = {
-  step: () => ({ position_mm: 0 }), ramp: () => ({ ramp: { to_mm: 1, steps: 11 } }), hold: () => ({ hold_s: 60, mode: "none" }),
+  step: () => ({ position_mm: 0 }), continuous: () => ({ continuous: { to_mm: 1, speed_mm_per_s: 0.02 } }), ramp: () => ({ ramp: { to_mm: 1, steps: 11 } }), hold: () => ({ hold_s: 60, mode: "none" }),
   cycle: () => ({ cycle: { times: 10, steps: [{ position_mm: 1 }, { position_mm: 0 }] } }),
 };
 
@@ -37,11 +37,11 @@ export class ProgrammeForm {
 
 // `done` after a change of a field, `again` after one of the list of entries, which is then drawn again.
 function parts(programme, done, again) {
-  if (programme.ramp && !programme.steps) {
-    const add = (entry) => { programme.steps = [{ ramp: programme.ramp }, entry]; delete programme.ramp; again(); };
-    return [name(programme, done), make("div", { class: "entry" }, ramp(programme.ramp, done)), adders(add)];
+  const alone = Object.keys(ALONE).find((key) => programme[key] && !programme.steps);
+  if (alone) {
+    const add = (entry) => { programme.steps = [{ [alone]: programme[alone] }, entry]; delete programme[alone]; again(); };
+    return [name(programme, done), make("div", { class: "entry" }, ALONE[alone](programme[alone], done)), adders(add)];
   }
-  if (programme.continuous && !programme.steps) return [name(programme, done), inText()];
   if (!Array.isArray(programme.steps)) programme.steps = [];
   return [name(programme, done), list(programme.steps, done, again)];
 }
@@ -62,32 +62,37 @@ function list(entries, done, again) {
     adders((entry) => { entries.push(entry); again(); }));
 }
 
-const adders = (add) => make("div", { class: "row adders" }, "Add", ...Object.entries(NEW).map(([kind, made]) => button(`a ${kind}`, { class: `add-${kind}`, onclick: () => add(made()) })));
+const adders = (add) => make("div", { class: "row adders" }, "Add", ...Object.entries(NEW).map(([kind, made]) => button(kind === "continuous" ? "a measured move" : `a ${kind}`, { class: `add-${kind}`, onclick: () => add(made()) })));
 
 function body(entry, done, again) {
-  if (entry?.ramp) return ramp(entry.ramp, done);
+  const alone = Object.keys(ALONE).find((key) => entry?.[key]);
+  if (alone) return ALONE[alone](entry[alone], done);
   if (entry?.cycle) {
     const { cycle } = entry, steps = Array.isArray(cycle.steps) ? cycle.steps : (cycle.steps = []);
     return make("fieldset", {}, make("legend", {}, "Cycle"), make("div", { class: "row" }, numbers(cycle, ["times"], done)), limits(cycle, OF_A_BLOCK, done), list(steps, done, again));
   }
   if (entry === null || typeof entry !== "object") return make("p", { class: "bad" }, "This entry is no step: change it in the text.");
-  if (entry.continuous || entry.mode === "moving") return inText();
-  const isHold = entry.mode === "none" && !("position_mm" in entry);
+  const isHold = entry.mode === "none" && !("position_mm" in entry), pace = numbers(entry, ["every_s"], done);
+  const show = () => { pace.hidden = entry.mode !== "moving" && !("every_s" in entry); };
+  show();
   return make("fieldset", {}, make("legend", {}, isHold ? "Hold" : "Step"), make("div", { class: "row" }, numbers(entry, isHold ? ["hold_s"] : ["position_mm", "speed_mm_per_s", "hold_s"], done),
-    isHold ? null : mode(entry, done), isHold ? null : reference(entry, done)), isHold || !("position_mm" in entry) ? null : limits(entry, OF_A_MOVE, done));
+    isHold ? null : mode(entry, () => { show(); done(); }, MODES), pace, isHold ? null : reference(entry, done)), isHold || !("position_mm" in entry) ? null : limits(entry, OF_A_MOVE, done));
 }
 
-const inText = () => make("p", { class: "soft" }, "A move that is measured while it lasts: change it in the text.");
-
 const ramp = (content, done) => make("fieldset", {}, make("legend", {}, "Ramp"),
-  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "steps", "speed_mm_per_s", "hold_s", "repeats_at_rest"], done), mode(content, done)), limits(content, OF_A_BLOCK, done));
+  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "steps", "speed_mm_per_s", "hold_s", "repeats_at_rest"], done), mode(content, done, MODES.slice(0, 2))), limits(content, OF_A_BLOCK, done));
 
-const DEFAULTS = { from_mm: 0, speed_mm_per_s: 1, hold_s: 0, repeats_at_rest: 0 };
+const continuous = (content, done) => make("fieldset", {}, make("legend", {}, "Measured move"),
+  make("div", { class: "row" }, numbers(content, ["from_mm", "to_mm", "speed_mm_per_s", "every_s"], done, NUMBER, { from_mm: 0, every_s: 0 })), limits(content, OF_A_MOVE, done));
+
+const ALONE = { ramp, continuous }; // entries that can be the whole programme
+
+const DEFAULTS = { from_mm: 0, speed_mm_per_s: 1, hold_s: 0, repeats_at_rest: 0, every_s: 0 };
 
 // Fields of numbers; an empty one leaves its key out.
-function numbers(content, keys, done, labels = NUMBER) {
+function numbers(content, keys, done, labels = NUMBER, defaults = DEFAULTS) {
   return make("span", { class: "row" }, ...keys.map((key) => {
-    const { input, found } = numberField({ "data-key": key, whole: WHOLE.includes(key), placeholder: String(DEFAULTS[key] ?? ""), value: content[key] === undefined || content[key] === null ? "" : String(content[key]), changed: () => set(content, key, found(), done) });
+    const { input, found } = numberField({ "data-key": key, whole: WHOLE.includes(key), placeholder: String(defaults[key] ?? ""), value: content[key] === undefined || content[key] === null ? "" : String(content[key]), changed: () => set(content, key, found(), done) });
     return make("label", {}, labels[key], input);
   }));
 }
@@ -98,8 +103,8 @@ function set(content, key, value, done) {
   done();
 }
 
-function mode(content, done) {
-  const select = make("select", { "data-key": "mode", onchange: () => set(content, "mode", select.value === "fringes" ? null : select.value, done) }, ...MODES.map(([value, text]) => make("option", { value, selected: (content.mode ?? "fringes") === value }, text)));
+function mode(content, done, modes) {
+  const select = make("select", { "data-key": "mode", onchange: () => set(content, "mode", select.value === "fringes" ? null : select.value, done) }, ...modes.map(([value, text]) => make("option", { value, selected: (content.mode ?? "fringes") === value }, text)));
   return make("label", {}, "measures", select);
 }
 

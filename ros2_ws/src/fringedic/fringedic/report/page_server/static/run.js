@@ -13,6 +13,7 @@ import { formParts, testAnswers } from "./test_form.js";
 
 const WRITTEN_MS = 400; // without a key, after which a programme that is being written is checked
 const FIRST = "experiment: test\nramp:\n  to_mm: 1.0\n  steps: 11\n";
+const MANY = "…"; // in place of the numbers of steps from a measured move on, whose number of stacks is not known before
 const STEPS_S = 0.5; // between two steps of the curve that are done at the same place
 
 export function show(place) {
@@ -160,7 +161,10 @@ function planRows({ rows, count }) {
   const lines = rows.map(({ position_mm, speed_mm_per_s, hold_s, mode, set_reference, until }) => {
     const words = [mode === "none" ? "not measured" : mode, set_reference ? "new reference" : "", until ? "ends earlier by its condition" : ""];
     const values = [position_mm, position_mm === null ? null : speed_mm_per_s, hold_s].map((value) => make("td", {}, number(value, 6)));
-    return make("tr", {}, make("td", {}, mode === "none" ? "–" : String(measured++)), ...values, make("td", { class: "words" }, words.filter(Boolean).join(", ")));
+    const name = mode === "none" ? "–" : mode === "moving" && measured !== MANY ? `${measured}, ${MANY}` : String(measured);
+    if (mode === "moving") measured = MANY;
+    else if (mode !== "none" && measured !== MANY) measured++;
+    return make("tr", {}, make("td", {}, name), ...values, make("td", { class: "words" }, words.filter(Boolean).join(", ")));
   });
   const more = count > rows.length ? [make("tr", {}, make("td", { class: "words", colspan: 5 }, `and ${count - rows.length} more`))] : [];
   return [make("tr", {}, ...head, make("th", { class: "words" }, "measurement")), ...lines, ...more];
