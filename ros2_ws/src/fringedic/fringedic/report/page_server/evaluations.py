@@ -24,6 +24,7 @@ from fringedic.errors import FringedicError, OperatorError
 from fringedic.evaluation.named import SETTINGS, EvaluationSettings, NamedEvaluation, evaluations
 from fringedic.report.previewed_evaluation import PREVIEW
 from fringedic.steps.recorded_parameters import present_parameters
+from fringedic.wording.causes import cause_of
 
 ExportFormat = Literal["png", "csv", "gif", "vtk", "mat", "tiff"]
 PREVIEWED_S = 600.0  # longest time of a preview
@@ -77,6 +78,7 @@ class Evaluations:
         self._running: subprocess.Popen[str] | None = None
         self._work = Path(tempfile.mkdtemp(prefix="fringedic-evaluations-"))
         self._job: dict[str, Any] = {}
+        self._job_of: Path | None = None  # the run that it belongs to
 
     def listed(self, run: Path) -> dict[str, Any]:
         """Return the evaluations of a run, its steps, its settings, and what is being made.
@@ -112,7 +114,7 @@ class Evaluations:
             "steps": steps,
             "settings": settings,
             "size": size,
-            "job": self._job,
+            "job": self._job if run == self._job_of else {},
             "formats": get_args(ExportFormat),
         }
 
@@ -145,12 +147,12 @@ class Evaluations:
             raise OperatorError(f"{asked.name} exists already: evaluations are not replaced, choose another name")
         self._enter()
         self._job = {"name": asked.name, "state": "runs", "words": "", "since": time.time()}
-        words = ["evaluate", str(run), "--name", asked.name, *self._settings(asked.settings)]
-        words += ["--why", asked.settings.note] if asked.settings.note else []
+        self._job_of = run
+        why = ["--why", asked.settings.note] if asked.settings.note else []
 
         def work() -> None:
             try:
-                self._command(words, None)
+                self._command(["evaluate", str(run), "--name", asked.name, *self._settings(asked.settings), *why], None)
                 self._job = self._job | {"state": "done", "words": f"{asked.name} is complete"}
             except FringedicError as error:
                 self._job = self._job | {"state": "failed", "words": str(error)}
@@ -217,19 +219,26 @@ class Evaluations:
     def _settings(self, settings: EvaluationSettings) -> list[str]:
         """Return the option for settings, from a file: no text of a browser becomes a word of a command."""
         file = self._work / SETTINGS
-        file.write_text(yaml.safe_dump(settings.model_dump(exclude_defaults=True)), "utf-8")
+        try:
+            file.write_text(yaml.safe_dump(settings.model_dump(exclude_defaults=True)), "utf-8")
+        except OSError as error:
+            raise OperatorError(f"{file}: cannot be written: {cause_of(error)}") from error
         return ["--like", str(file)]
 
     def _command(self, words: Sequence[str], longest_s: float | None) -> None:
         """Run the command in a process, and raise its sentence when it fails."""
         command = ["nice", "-n", str(_NICE), sys.executable, "-m", "fringedic", *words]
-        with subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as process:
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        except (OSError, ValueError) as error:  # no memory for a process, or a text with a zero byte
+            raise OperatorError(f"the command cannot be started: {cause_of(error)}") from error
+        with process:
             self._running = process
             try:
                 _, said = process.communicate(timeout=longest_s)

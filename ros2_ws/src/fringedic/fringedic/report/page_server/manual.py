@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from functools import cache
+from functools import lru_cache
 from html import escape
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -47,7 +47,7 @@ def manual_file(path: str) -> Path:
     return file
 
 
-@cache
+@lru_cache(maxsize=200)  # a page has more than one address
 def manual_page(path: str) -> str:
     """Return a page of the manual as HTML; text that looks like HTML is escaped.
 

@@ -70,6 +70,17 @@ def test_an_evaluation_is_made_beside_the_results_and_opened(site: Site, cookie:
     assert (site.rig.folder / f"{RESULTS}.nc").read_bytes() == results
 
 
+def test_an_evaluation_that_cannot_be_started_has_failed(site: Site, cookie: str) -> None:
+    with site.stream(cookie):
+        post(site, "run", {"name": "x", "settings": {"note": "less\0noise"}}, cookie)
+        until = time.monotonic() + 30
+        while (job := listed(site, cookie)["job"])["state"] == "runs":
+            assert time.monotonic() < until
+            time.sleep(0.1)
+    assert (job["name"], job["state"]) == ("x", "failed")
+    assert "cannot be started" in job["words"]
+
+
 def test_a_step_is_previewed_and_exported(site: Site, cookie: str) -> None:
     found = json.loads(post(site, "run/preview", {"step": 1, "settings": SETTINGS}, cookie).body)
     assert {row["quantity"] for row in found["rows"]} >= {"measured points", "mean w"}
