@@ -57,7 +57,7 @@ class RecordedTest:
     card
         What was entered before it; None of a test that was started elsewhere.
     planned
-        Largest number of measured steps of its programme; None when it is not known.
+        Largest number of measured steps of its programme; None when it is not known, as with measured moves.
     found
         What is in its dataset; None without one, and until it has been read.
     """
@@ -88,7 +88,7 @@ class RecordedTest:
             "answers": answers,
             "state": state,
             "verdict": verdict,
-            "continues": state == "care" and self.planned is not None,
+            "continues": state == "care" and self.card is not None and self.card.programme is not None,
         }
 
     def _verdict(self) -> tuple[str, str]:
@@ -149,14 +149,15 @@ class Catalogue:
 
 @lru_cache(maxsize=1000)
 def _card_of(folder: Path, changed: int) -> tuple[Card | None, int | None]:  # noqa: ARG001 (a key of the cache)
-    """Return the card of a test, and the number of measured steps of its programme."""
+    """Return the card of a test, and the number of measured steps of its programme; None with measured moves."""
     try:
         card = load_card(folder)
     except FringedicError:
         return None, None
     if card is None or card.programme is None:
         return card, None
-    return card, sum(step.mode != "none" for step in card.programme.walk())
+    modes = [step.mode for step in card.programme.walk()]
+    return card, None if "moving" in modes else len(modes) - modes.count("none")
 
 
 def _listed(folder: Path | None, sensor: str) -> list[RecordedTest]:

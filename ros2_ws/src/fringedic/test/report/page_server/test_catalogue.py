@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from served import write_test
 
+from fringedic.configuration.programme import Programme
+from fringedic.configuration.test_card import Card
 from fringedic.errors import ConfigurationError, OperatorError
 from fringedic.evidence.changes import begin_log
 from fringedic.evidence.log import read_log
@@ -55,6 +57,19 @@ def test_specimen_of_a_test_that_was_started_elsewhere_is_that_of_its_dataset(tm
     (write_test(tmp_path, "plate-7", PLATE_7, stretch=1e-3) / "test.yaml").unlink()
     [found] = listed(Catalogue(), tmp_path)
     assert (found["specimen"], found["answers"], found["continues"]) == ("plate 7", PLATE_7, False)
+
+
+def test_a_programme_with_measured_moves_has_no_largest_number_of_steps(tmp_path: Path) -> None:
+    folder = write_test(tmp_path, "plate-7", {}, stretch=1e-3)
+    steps = [
+        {"continuous": {"to_mm": 1.0, "speed_mm_per_s": 0.1}},
+        {"ramp": {"to_mm": 0.0, "from_mm": 1.0, "steps": 5}},
+    ]
+    Card(programme=Programme.model_validate({"steps": steps})).save(folder)
+    assert listed(Catalogue(), tmp_path)[0]["verdict"] == "3 steps measured"
+    (folder / "results.nc").unlink()
+    [found] = listed(Catalogue(), tmp_path)
+    assert (found["verdict"], found["continues"]) == ("no results", True)
 
 
 def test_a_damaged_dataset_does_not_hide_the_others(tmp_path: Path) -> None:
