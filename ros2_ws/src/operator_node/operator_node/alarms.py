@@ -13,6 +13,7 @@ from fringedic.errors import OperatorError
 from fringedic.report.page_server.app import Alarm
 from fringedic.report.page_server.maps import described_signal
 from fringedic.signals import Sample
+from fringedic.wording.numbers import counted
 
 
 class Alarms:
@@ -29,7 +30,7 @@ class Alarms:
         Raises
         ------
         OperatorError
-            A signal has no limit, or one above which it is always reached.
+            A signal has no limit, or a lower one that is not below the upper one.
         """
         for alarm in alarms:
             if alarm.below is None and alarm.above is None:
@@ -38,7 +39,7 @@ class Alarms:
                 raise OperatorError(f"{alarm.signal}: the lower limit is not below the upper one")
         with self._lock:
             self._alarms, self._reached = list(alarms), {}
-        return f"{len(alarms)} limits request a hold" if alarms else "no limit requests a hold"
+        return f"{counted(len(alarms), 'limit')} in force" if alarms else "no limit requests a hold"
 
     def check(self, latest: Mapping[str, Sample], request: Callable[[str], str]) -> None:
         """Request a hold for each limit that the latest samples reach and that was not reached before.

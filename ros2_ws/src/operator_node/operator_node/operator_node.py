@@ -42,6 +42,7 @@ from fringedic.report.page_server.marks import KeepMarks, shown_marks
 from fringedic.report.page_server.recorded import RecordedRig
 from fringedic.report.page_server.server import Address, PageServer
 from fringedic.signals import SignalCollector
+from fringedic.wording.numbers import counted
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
     LiveView,
@@ -213,7 +214,8 @@ class OperatorNode(RigNode):
         if isinstance(command, PlanSeries):
             series = validate(Series, command.model_dump(), "series")
             await asyncio.to_thread(self._shown_file().plan_series, series)
-            return f"{len(series.specimens)} specimens are planned" if series.specimens else "the series is removed"
+            planned = counted(len(series.specimens), "specimen")
+            return f"the series has {planned}" if series.specimens else "the series is removed"
         if isinstance(command, Start):
             request = command.model_dump() | {"options": json.dumps(command.options)}  # which is YAML as well
             checked = await self.check(self._text_that_runs(command)) if command.procedure == "run" else {}
@@ -380,9 +382,8 @@ class OperatorNode(RigNode):
                 maps |= dict(zip(names, image_array(parts[topic]).transpose(2, 0, 1), strict=True))
         if "dic/displacement" in parts and self._texture is not None:
             texture = image_view(self._texture)
-            if texture.stamp == to_nanoseconds(
-                status.header.stamp
-            ):  # else it has not come, or is that of the next step
+            is_of_step = texture.stamp == to_nanoseconds(status.header.stamp)
+            if is_of_step:  # else it has not come, or is that of the next step
                 maps["texture"] = image_array(texture)
         if "coupling/shape" in parts:
             maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
