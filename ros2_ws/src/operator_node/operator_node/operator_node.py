@@ -10,6 +10,7 @@ import json
 import os
 import struct
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -66,6 +67,7 @@ from fringedic_ros.rig_node import RigNode
 from fringedic_ros.serialized import image_view
 from fringedic_ros.signals import add_signals
 from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.waiting import RepeatedRequest
 from fringedic_ros.work import Worker
 from operator_node.alarms import Alarms
 from operator_node.rig_file import ShownRigFile
@@ -113,6 +115,7 @@ class OperatorNode(RigNode):
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._signals = SignalCollector(longest=1)
         self._alarms = Alarms()
+        self._sent: list[tuple[Client, RepeatedRequest, float]] = []  # requests of limits, until when each is repeated
         self._worker = Worker(self)
         self._subscribe()
         self._starts = self.create_client(StartProcedure, "procedures/start")
@@ -258,18 +261,35 @@ class OperatorNode(RigNode):
     def _request_hold(self, reason: str) -> str:
         """Request a hold of the machine at a limit, and let no further step begin; in the thread of the node."""
         if self._controls.service_is_ready():
-            self._controls.call_async(ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
+            self._send(self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
         if not self._holds.service_is_ready():
             self.get_logger().error(f"{reason}: there is no node of the machine to request a hold of")
             return "no node of the machine runs: stop it at its own controls"
         self.get_logger().warning(f"{reason}: a hold of the machine is requested")
-        self._holds.call_async(Trigger.Request()).add_done_callback(self._take_hold)
+        self._send(self._holds, Trigger.Request())
         return "a hold was requested"
 
-    def _take_hold(self, future: Future) -> None:
-        response = future.result()
-        if response is not None and not response.success:
-            self.get_logger().error(f"{self._holds.srv_name}: {response.message}")
+    def _send(self, client: Client, request: Any) -> None:
+        """Send a request of a limit, which `_repeat` sends again until it is answered."""
+        sent = RepeatedRequest(client, request)
+        self._sent.append((client, sent, time.monotonic() + ANSWER_S))
+        sent.is_answered()
+
+    def _repeat(self) -> None:
+        """Send the requests of limits again when they are due, and log those without effect."""
+        waiting = []
+        for client, sent, end in self._sent:
+            is_answered = sent.is_answered()
+            if not is_answered and time.monotonic() < end:
+                waiting.append((client, sent, end))
+                continue
+            if not is_answered:
+                self.get_logger().error(f"{client.srv_name}: no answer within {ANSWER_S:g} s")
+            elif client is self._holds and not sent.response.success:  # without a programme nothing is paused
+                self.get_logger().error(f"{client.srv_name}: {sent.response.message}")
+            with sent:
+                pass  # no request stays pending
+        self._sent = waiting
 
     async def _discovered(self, client: Client) -> None:
         """Wait for a service of a node that has just started: on a busy computer it is known after the button is."""
@@ -348,6 +368,7 @@ class OperatorNode(RigNode):
 
     def _poll(self) -> None:
         """Take the messages that have arrived and, while a browser is connected, the newest frame."""
+        self._repeat()
         for topic, take in self._topics:
             while (message := topic.take()) is not None:
                 take(message)

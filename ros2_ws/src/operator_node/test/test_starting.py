@@ -21,6 +21,7 @@ from fringedic_msgs.srv import StartProcedure
 from fringedic_ros.qos import LATCHED, PREVIEWS
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import Peer
+from fringedic_ros.waiting import AGAIN_S
 from operator_node import operator_node
 from operator_node.operator_node import TOKEN, OperatorNode
 
@@ -100,6 +101,37 @@ def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: Operator
     assert len(holds) == 1
     assert operator.snapshot()["alarms"][0]["reached"] == "force 451 N reached its limit 450; a hold was requested"
     peer.destroy_node()
+
+
+def test_a_hold_of_a_limit_is_requested_again_until_it_is_answered(operator: OperatorNode) -> None:
+    machine, holds, sender = Peer("load_frame"), list[Trigger.Request](), Peer("sender")
+
+    def hold(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        holds.append(request)
+        response.success = True
+        return response
+
+    machine.create_service(Trigger, "load_frame/hold", hold)
+    states = sender.create_publisher(LoadState, "load_frame/state", PREVIEWS)
+    sender.serve_also(operator)
+    sender.wait(lambda: operator.snapshot()["rig"]["machine"], "the service")
+    asyncio.run(operator.do(SetAlarms(alarms=[Alarm(signal="force", above=450.0)])))
+
+    def is_reached() -> bool:
+        state = LoadState(mode=LoadState.HOLD, force=451.0)
+        state.header.stamp = to_msg(time.time_ns())
+        states.publish(state)
+        return bool(operator.snapshot()["alarms"][0]["reached"])
+
+    sender.wait(is_reached, "the limit")
+    sender.serve(1.2 * AGAIN_S)  # the machine does not answer
+    machine.serve(0.5)
+    assert len(holds) == 2
+    sender.serve(1.2 * AGAIN_S)
+    machine.serve(0.5)
+    assert len(holds) == 2, "it was answered"
+    for peer in (machine, sender):
+        peer.destroy_node()
 
 
 def test_marks_need_a_test(operator: OperatorNode) -> None:
