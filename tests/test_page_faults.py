@@ -649,6 +649,10 @@ def test_limits_that_request_a_hold_are_set(page: Page, rig: ShownRig) -> None:
     assert rig.commands[-1].model_dump() == {"alarms": [alarm]}
     rig.show(alarms=[alarm | {"reached": "force 451 N reached its limit 450.5; a hold was requested"}])
     expect(page.locator("#alarms")).to_contain_text("a hold was requested")
+    rig.show(alarms=[alarm | {"reached": ""}])
+    expect(page.locator("#alarms li")).to_contain_text("in force")
+    rig.show(signals=[force | {"value": None}])
+    expect(page.locator("#alarms li")).to_contain_text("not checked: the signal has no value now")
 
 
 # maps

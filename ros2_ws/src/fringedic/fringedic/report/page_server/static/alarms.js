@@ -37,10 +37,10 @@ export function alarmsPanel() {
 const plain = () => (latest("alarms") ?? []).map(({ signal, below, above }) => ({ signal, below, above }));
 
 function line(alarm, signals) {
-  const unit = signals.find(({ name }) => name === alarm.signal)?.unit ?? "";
+  const { unit = "", value = null } = signals.find(({ name }) => name === alarm.signal) ?? {}, isChecked = value !== null;
   const words = [alarm.below === null ? "" : `at or below ${alarm.below} ${unit}`, alarm.above === null ? "" : `at or above ${alarm.above} ${unit}`].filter(Boolean).join(", or ");
   return make("li", { "data-key": alarm.signal }, make("span", { class: "row" }, `${alarm.signal} ${words}`,
-    alarm.reached ? make("strong", { class: "bad" }, alarm.reached) : make("span", { class: "good" }, "in force"),
+    alarm.reached ? make("strong", { class: "bad" }, alarm.reached) : make("span", { class: isChecked ? "good" : "bad" }, isChecked ? "in force" : "not checked: the signal has no value now"),
     alarm.reached ? button("In force again", { "data-key": "again", why: notDriving(), onclick: () => command("alarms", { alarms: plain() }) }) : null,
     button("Remove", { "data-key": "remove", why: notDriving(), onclick: () => command("alarms", { alarms: plain().filter(({ signal }) => signal !== alarm.signal) }) })));
 }
