@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.campaign.settings import store_address
-from fringedic.campaign.store import PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.campaign.store import BEGUN, FAILURES, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.datasets.checksums import open_checked
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import CampaignError
@@ -41,7 +41,7 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     Raises
     ------
     CampaignError
-        There is no campaign, or its store cannot be read.
+        There is no campaign, its store cannot be read, or a receipt was damaged or removed.
 
     Examples
     --------
@@ -53,13 +53,31 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     if plan is None:
         raise CampaignError(f"{store.address}: is no campaign: it has no {PLAN}; 'fringedic campaign run' makes one")
     units = {unit["name"]: unit for unit in plan["units"]}
+    documents = store.documents(RECEIPTS)
+    _require_receipts(store, sorted(units.keys() - documents.keys()))
     receipts = {
         name: {**receipt, "labels": units[name]["labels"]}  # the plan's, which may have been corrected since then
-        for name, receipt in store.documents(RECEIPTS).items()
+        for name, receipt in documents.items()
         if name in units and _is_planned(receipt, units[name])
     }
     tree = xr.DataTree.from_dict({name: open_group(store, name) for name in receipts}, name=plan["title"] or None)
     return tree, _catalogue(receipts)
+
+
+def _require_receipts(store: CampaignStore, waiting: list[str]) -> None:
+    """Refuse a store that has results of a recording without receipt, which no attempt leaves.
+
+    Another worker may process the recording now: it writes its marker before the group, and removes it after the
+    receipt or failure. In this order of reading one of them is found.
+    """
+    complete = store.complete_groups(waiting) if waiting else []
+    for folder in (BEGUN, FAILURES, RECEIPTS):
+        complete = [name for name in complete if store.read(f"{folder}/{name}.json") is None]
+    if complete:
+        raise CampaignError(
+            f"{store.address}/{RECEIPTS}/{complete[0]}.json is missing or not complete, although the results of this "
+            "recording are there: repeat 'fringedic campaign run', which makes it again"
+        )
 
 
 def open_group(store: CampaignStore, recording: str) -> xr.Dataset:

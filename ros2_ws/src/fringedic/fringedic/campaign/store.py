@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,6 +123,17 @@ class CampaignStore:
                     raise each
         found = {Path(path).stem: _document(present[path], path) for path in paths if path in present}
         return {name: document for name, document in found.items() if document is not None}
+
+    def complete_groups(self, recordings: Iterable[str]) -> list[str]:
+        """Return which of some recordings have a complete group, whose metadata are written last."""
+        with self._named("read"):
+            self._files.invalidate_cache()
+            try:
+                present = {Path(path).name for path in self._files.ls(self._path(RECORDINGS), detail=False)}
+            except FileNotFoundError:
+                return []
+            metadata = {name: self._path(f"{RECORDINGS}/{name}/zarr.json") for name in recordings if name in present}
+            return [name for name, path in metadata.items() if self._files.exists(path)]
 
     def digest(self, recording: str) -> str:
         """Return the SHA-256 over the names and SHA-256 of all objects of the group of a recording, as its receipt."""

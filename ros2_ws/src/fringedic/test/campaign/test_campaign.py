@@ -216,7 +216,24 @@ def test_images_of_another_size_are_unusual(done: Campaign) -> None:
 def test_a_receipt_that_a_killed_process_left_unfinished_counts_as_none(done: Campaign) -> None:
     receipt = Path(done.store, "receipts", "plate-2.json")
     receipt.write_text(receipt.read_text()[:-10])
+    with pytest.raises(CampaignError, match=r"receipts/plate-2\.json is missing or not complete.* campaign run"):
+        fringedic.open_campaign(done.store)
     assert set(run(done)) == {"plate-2"}
+    assert "plate-2" in fringedic.open_campaign(done.store)[1].index
+
+
+@pytest.mark.parametrize("reason", ["it is being processed", "it failed", "it is not processed yet"])
+def test_a_removed_receipt_is_named_unless_the_recording_waits(done: Campaign, tmp_path: Path, reason: str) -> None:
+    store = CampaignStore(str(shutil.copytree(done.store, tmp_path / "store")))
+    store.remove("receipts/plate-2.json")
+    with pytest.raises(CampaignError, match=r"receipts/plate-2\.json is missing"):
+        fringedic.open_campaign(store.address)
+    if reason == "it is not processed yet":
+        store.remove("recordings/plate-2/zarr.json")
+    else:
+        folder = "begun" if reason == "it is being processed" else "failures"
+        store.write(f"{folder}/plate-2.json", {"name": "plate-2"})
+    assert list(fringedic.open_campaign(store.address)[1].index) == ["plate-1"]
 
 
 def test_damage_of_a_store_is_named(done: Campaign, tmp_path: Path) -> None:
