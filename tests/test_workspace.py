@@ -114,6 +114,7 @@ def test_library_declares_what_it_imports() -> None:
     names = {
         "cv2": "opencv-python-headless",
         "PIL": "pillow",
+        "markdown_it": "markdown-it-py",
         "pydantic_core": "pydantic",
         "pygame": "pygame-ce",
         "rfc3161_client": "rfc3161-client",
