@@ -68,13 +68,16 @@ class Instrument:
     def write(self, query: str) -> None:
         self._query = query
 
-    def read_raw(self) -> bytes:
+    def read_bytes(self, _count: int, *, break_on_termchar: bool = False) -> bytes:
+        return self._answer() if break_on_termchar else self._rest()
+
+    def _answer(self) -> bytes:
         self._clock.passed_s += self.answer_s
         self._answered_s = self._clock.passed_s
         position_mm = self._clock.passed_s if self.moves else 0.0
         return {"F?": b"1.5", "P?": b"%.6f" % position_mm, "S?": b"2", "T?": b"5"}[self._query]
 
-    def read_bytes(self, _count: int) -> bytes:
+    def _rest(self) -> bytes:
         wait_s = 1e-3 * self.timeout
         self.waits_s.append(wait_s)
         if self._answered_s + self.follows_s <= self._clock.passed_s + wait_s:
