@@ -294,7 +294,7 @@ def test_a_step_is_previewed_with_other_settings_and_exported(page: Page) -> Non
     expect(page.locator("#message")).to_contain_text("no valid value")
     page.fill("#window", "48")
     page.click("#preview")
-    expect(page.locator("#previewed td").first).to_be_visible(timeout=90_000)
+    expect(page.locator("#previewed td").first).to_be_visible(timeout=240_000)  # a nice process waits for all others
     for picture in page.locator("#previewed img").all():
         expect(picture).to_have_js_property("complete", True)
         assert picture.evaluate("each => each.naturalWidth") > 100

@@ -105,6 +105,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "audit": ["audit", str(folder / "run"), "--no-recompute"],
         "recover": ["recover", bag, "--output", str(folder / "recovered")],
         "process": ["process", bag, "--output", dataset],
+        "evaluate": ["evaluate", str(folder / "run")],  # without a name, it lists them
         "compare": ["compare", dataset, dataset, "--output", str(folder / "compared.html")],
         "campaign": ["campaign", "run", str(folder / "campaign")],
         "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],

@@ -164,7 +164,7 @@ def test_preview_of_a_large_displacement_shows_some_of_its_points():
 
 def test_maps_that_are_compared_have_one_colour_scale():
     step = experiment().sel(step=1)
-    step["model_w"] = 0.5 * step["w"]
+    step["model_w"] = (0.5 * step["w"]).assign_attrs(units="m")
     alike = panel_axes(maps_figure(step, (Panel("w", "", like="model_w"), Panel("model_w", "", like="w")), title=""))
     (first, second) = (axes.images[0].get_clim() for axes in alike)
     assert first == second
