@@ -62,6 +62,7 @@ HEARTBEATS_S = 0.5
 # Without feedback. The nodes end every step and move by themselves; this ends the wait for a node that stands still.
 STEP_TIMEOUT_S = 3600.0
 PERSON_S = 86_400.0  # for a person to place a plane, who may go home before
+LATE_RESULT_S = 5.0  # a machine that does not move so long has ended its move, also when the result does not come
 CANCEL_AGAIN_S = 0.5  # between two requests to end a move
 SILENT_S, MISSED = 2.0, 3  # without a new value, and in its periods, after which it is not known
 
@@ -316,7 +317,15 @@ class RigClient:
             return is_over() or (self._load is not None and self._load.mode == LoadState.MOVING)
 
         self.wait_for(begins, START_TIMEOUT_S, lambda: f"{_move_text(goal)}: the machine does not begin to move")
-        while not is_over():
+        still_s = math.inf  # since when the samples show no motion
+
+        def has_ended() -> bool:
+            nonlocal still_s
+            moves = self._load is None or self._load.mode == LoadState.MOVING
+            still_s = math.inf if moves else min(still_s, time.monotonic())
+            return is_over() or time.monotonic() > still_s + LATE_RESULT_S
+
+        while not has_ended():
             begun, came = time.monotonic(), self._strain.count
             result = self._measure_during(move, feedback)
             measured(result, is_over())
@@ -325,7 +334,7 @@ class RigClient:
             def may_follow(begun: float = begun, came: int = came) -> bool:
                 is_due = time.monotonic() >= begun + every_s
                 is_known = self._strain.count > came or math.isnan(self._strain.present())
-                return is_over() or (is_due and (not follows_strain or is_known))
+                return has_ended() or (is_due and (not follows_strain or is_known))
 
             while not may_follow():
                 self._spin_once()
