@@ -41,7 +41,7 @@ from fringedic.report.certificate import certificate, open_laboratory
 from fringedic.report.data import ReportData, read_exposures, read_textures
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
 from fringedic.report.laboratory import Laboratory
-from fringedic.report.processing_entries import analysis_entries, fringe_entries
+from fringedic.report.processing_entries import analysis_entries, changes_text, fringe_entries
 from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_tables, truth_rows
 from fringedic.report.templates import (
     base64_png,
@@ -288,13 +288,7 @@ def _evaluation(files: _Source) -> str:
     settings = files.given.parent / SETTINGS
     if files.evaluation is None or not settings.is_file():
         return ""
-    changed = load_settings(settings)
-    words = [f"{name} = {value}" for name, value in changed.overrides.items()]
-    words += [f"reference step {changed.reference}"] if changed.reference is not None else []
-    words += ["another region"] if changed.region else []
-    words += ["other extensometers"] if changed.gauges is not None else []
-    words += [changed.note] if changed.note else []
-    return f"{files.evaluation}: {'; '.join(words) or 'nothing is changed'}"
+    return f"{files.evaluation}: {changes_text(load_settings(settings)) or 'nothing is changed'}"
 
 
 def _strain_words(data: ReportData) -> str:

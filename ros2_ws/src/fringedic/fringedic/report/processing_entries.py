@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fringedic.datasets.quantities import strain_measure_of
+from fringedic.evaluation.named import EvaluationSettings
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
 from fringedic.surface.strain_measures import TENSORS
@@ -257,3 +258,13 @@ def _residual_entries(data: ReportData, note: str) -> list[Entry]:
         ),
         Entry("plane residual", f"{number_text(known.residual_um, 3)} µm RMS", noise),
     ]
+
+
+def changes_text(settings: EvaluationSettings) -> str:
+    """Return what a named evaluation changes, for people; empty when that is nothing."""
+    words = [f"{name} = {value}" for name, value in settings.overrides.items()]
+    words += [f"reference step {settings.reference}"] if settings.reference is not None else []
+    words += ["another region"] if settings.region else []
+    words += ["other extensometers"] if settings.gauges is not None else []
+    words += [settings.note] if settings.note else []
+    return "; ".join(words)

@@ -151,7 +151,7 @@ class Signal:
         centred -= middle
         away = 1e-9 * (time - float(stamps[0])) - middle
         moment = float(centred @ centred)
-        rate = float(centred @ values) / moment if moment > 0 else float("nan")
+        rate = slope(stamps, values)
         variance = float(np.mean(around.sigmas[near] ** 2))
         if len(values) >= FEWEST_FOR_A_LINE and moment > 0:
             scatter = float(np.sum(residuals(stamps, values) ** 2)) / (len(values) - 2)

@@ -23,6 +23,7 @@ from fringedic.datasets.opening import open_experiment
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.evaluation.named import SETTINGS, EvaluationSettings, NamedEvaluation, evaluations
 from fringedic.report.previewed_evaluation import PREVIEW
+from fringedic.report.processing_entries import changes_text
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.causes import cause_of
 
@@ -105,6 +106,7 @@ class Evaluations:
             {
                 "name": each.name,
                 "settings": each.settings.model_dump(exclude_defaults=True),
+                "changes": changes_text(each.settings),
                 "report": each.report.is_file(),
             }
             for each in evaluations(run)
@@ -142,7 +144,7 @@ class Evaluations:
         return file
 
     def start(self, run: Path, asked: Evaluate) -> str:
-        """Begin an evaluation; `listed` says how it goes on."""
+        """Begin an evaluation, whose state is in `listed`."""
         if any(each.name == asked.name for each in evaluations(run)):
             raise OperatorError(f"{asked.name} exists already: evaluations are not replaced, choose another name")
         self._enter()

@@ -159,20 +159,11 @@ class EvaluateView {
     patch(this.list,
       job.state === "runs" ? make("li", { class: "now", "data-key": "job" }, `${job.name}: is being computed`, make("progress", { "aria-label": "progress" })) : null,
       job.state === "failed" ? make("li", { class: "bad", "data-key": "job" }, `${job.name}: ${job.words}`) : null,
-      ...made.map(({ name, settings, report }) => make("li", { class: "good", "data-key": `of-${name}` }, make("strong", {}, name),
-        make("p", { class: "soft" }, words(settings)),
+      ...made.map(({ name, changes, report }) => make("li", { class: "good", "data-key": `of-${name}` }, make("strong", {}, name),
+        make("p", { class: "soft" }, changes || "as recorded"),
         report ? make("a", { href: `${at}/${encodeURIComponent(name)}/report`, target: "_blank", rel: "noopener" }, "Report") : null)));
     const query = new URLSearchParams({ format: this.format.value, evaluation: this.exported.value, step: this.exportedStep.value });
     patch(this.exports, none ? make("span", { class: "soft" }, none)
       : make("a", { href: `/export/${encodeURIComponent(folder)}?${query}`, id: "download", download: "" }, "Download"));
   }
-}
-
-function words({ overrides = {}, reference, region, gauges, note }) {
-  const parts = Object.entries(overrides).map(([name, value]) => `${name} = ${value}`);
-  if (reference !== undefined) parts.push(`reference step ${reference}`);
-  if (region) parts.push("another region");
-  if (gauges) parts.push("other extensometers");
-  if (note) parts.push(note);
-  return parts.join("; ") || "as recorded";
 }
