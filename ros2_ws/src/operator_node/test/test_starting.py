@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
@@ -28,6 +29,26 @@ from operator_node.operator_node import TOKEN, OperatorNode
 RIG = "{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}, load_frame: {source: simulated}}"
 
 
+def requests_to(peer: Peer, kind: type[Any], name: str) -> list[Any]:
+    """Offer a service that succeeds, and return the list that its requests are added to."""
+    requests: list[Any] = []
+
+    def answer(request: Any, response: Any) -> Any:
+        requests.append(request)
+        response.success = True
+        return response
+
+    peer.create_service(kind, name, answer)
+    return requests
+
+
+def load_state(force: float) -> LoadState:
+    """Return a sample of a machine that holds, acquired now."""
+    state = LoadState(mode=LoadState.HOLD, force=force)
+    state.header.stamp = to_msg(time.time_ns())
+    return state
+
+
 @pytest.fixture
 def operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OperatorNode]:
     monkeypatch.setenv(TOKEN, "0123456789abcdef")
@@ -43,14 +64,8 @@ def operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Operat
 
 
 def test_the_started_programme_is_shown_and_its_report_outlasts_other_procedures(operator: OperatorNode) -> None:
-    peer, started = Peer("procedures"), list[StartProcedure.Request]()
-
-    def start(request: StartProcedure.Request, response: StartProcedure.Response) -> StartProcedure.Response:
-        started.append(request)
-        response.success = True
-        return response
-
-    peer.create_service(StartProcedure, "procedures/start", start)
+    peer = Peer("procedures")
+    started = requests_to(peer, StartProcedure, "procedures/start")
     statuses = peer.create_publisher(ProcedureStatus, "procedures/status", LATCHED)
     peer.serve_also(operator)
     peer.wait(lambda: operator.snapshot()["rig"]["operated"], "the service")
@@ -74,14 +89,8 @@ def test_the_started_programme_is_shown_and_its_report_outlasts_other_procedures
 
 
 def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: OperatorNode) -> None:
-    peer, holds = Peer("load_frame"), list[Trigger.Request]()
-
-    def hold(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        holds.append(request)
-        response.success = True
-        return response
-
-    peer.create_service(Trigger, "load_frame/hold", hold)
+    peer = Peer("load_frame")
+    holds = requests_to(peer, Trigger, "load_frame/hold")
     states = peer.create_publisher(LoadState, "load_frame/state", PREVIEWS)
     peer.serve_also(operator)
     peer.wait(lambda: operator.snapshot()["rig"]["machine"], "the service")
@@ -89,9 +98,7 @@ def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: Operator
     asyncio.run(operator.do(SetAlarms(alarms=[Alarm(signal="force", above=450.0)])))
 
     def publish(force: float) -> bool:
-        state = LoadState(mode=LoadState.HOLD, force=force)
-        state.header.stamp = to_msg(time.time_ns())
-        states.publish(state)
+        states.publish(load_state(force))
         return any(each["value"] == force for each in operator.snapshot()["signals"])
 
     peer.wait(lambda: publish(449.0), "the state")
@@ -104,23 +111,15 @@ def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: Operator
 
 
 def test_a_hold_of_a_limit_is_requested_again_until_it_is_answered(operator: OperatorNode) -> None:
-    machine, holds, sender = Peer("load_frame"), list[Trigger.Request](), Peer("sender")
-
-    def hold(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        holds.append(request)
-        response.success = True
-        return response
-
-    machine.create_service(Trigger, "load_frame/hold", hold)
+    machine, sender = Peer("load_frame"), Peer("sender")
+    holds = requests_to(machine, Trigger, "load_frame/hold")
     states = sender.create_publisher(LoadState, "load_frame/state", PREVIEWS)
     sender.serve_also(operator)
     sender.wait(lambda: operator.snapshot()["rig"]["machine"], "the service")
     asyncio.run(operator.do(SetAlarms(alarms=[Alarm(signal="force", above=450.0)])))
 
     def is_reached() -> bool:
-        state = LoadState(mode=LoadState.HOLD, force=451.0)
-        state.header.stamp = to_msg(time.time_ns())
-        states.publish(state)
+        states.publish(load_state(451.0))
         return bool(operator.snapshot()["alarms"][0]["reached"])
 
     sender.wait(is_reached, "the limit")
