@@ -75,7 +75,7 @@ class FormField(Section):
         return float(value)
 
 
-SPECIMEN = "specimen"  # name of the field that tells the specimens of a series apart
+SPECIMEN = "specimen"  # name of the field in which the specimens of a series differ
 DEFAULT_FORM = (
     FormField(name=SPECIMEN, entry="name"),
     FormField(name="specimen number", entry="number"),
@@ -134,7 +134,7 @@ def answered_specimen(
     specimen
         The metadata of the rig file; answers replace them.
     answers
-        By the names of the fields; a field without an answer keeps what the rig file says, an empty one removes it.
+        By the names of the fields; a field without an answer keeps the entry of the rig file, an empty one removes it.
 
     Raises
     ------

@@ -5,7 +5,7 @@ import { keep, make, options } from "./elements.js";
 import { numberField } from "./numbers.js";
 import { latest } from "./stream.js";
 
-export const SPECIMEN = "specimen"; // the field that tells the specimens of a series apart
+export const SPECIMEN = "specimen"; // the field in which the specimens of a series differ
 const OF_ONE_TEST = ["name", "number", "test_number"]; // entries of the specimen that differ from test to test
 let of = "", fields = []; // the form that the fields belong to; they keep what was typed while views change
 
@@ -24,7 +24,7 @@ function fill(answers) {
   for (const { name, entry, input } of fields) if (name !== SPECIMEN && !OF_ONE_TEST.includes(entry) && name in answers) input.value = String(answers[name]);
 }
 
-// The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes what the rig file says.
+// The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes the entry of the rig file.
 export function testAnswers() {
   const found = fields.map(({ name, input, found }) => [name, found(), input.reportValidity()]);
   if (!found.every(([, value, valid]) => valid && value !== undefined)) return null;
