@@ -89,7 +89,7 @@ class Scaled(Section):
         return get_args(type(self).model_fields["unit"].annotation)
 
 
-class ScaledSignal(Scaled):
+class MachineSignal(Scaled):
     """A number of a further signal and its meaning, in any known unit."""
 
     sigma: float | None = Field(None, ge=0, description="Standard uncertainty in the unit; by default not known.")
@@ -335,7 +335,7 @@ class Switch(Section):
         return self
 
 
-class SignalRegister(Register, ScaledSignal):
+class SignalRegister(Register, MachineSignal):
     """Register of a further signal."""
 
 
@@ -422,7 +422,7 @@ class LengthQuery(NumberQuery):
     unit: LengthUnit = "mm"
 
 
-class SignalQuery(NumberQuery, ScaledSignal):
+class SignalQuery(NumberQuery, MachineSignal):
     """Query of a further signal."""
 
 
