@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 from fringedic.recording.frames import frame_losses
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.environment import node_environment, private_domain
-from fringedic_ros.testing import child_pid
+from fringedic_ros.testing import descendant_pid
 
 WARM_UP_S, SPAN_S = 5.0, 20.0
 WHEEL_S = 11.0  # after which the wheel of the browsers before is free
@@ -102,7 +102,7 @@ def operating(rig: str, folder: Path) -> Iterator[tuple[str, int]]:
             assert process.stdout is not None
             url = next(line for line in process.stdout if line.startswith("page: ")).split()[-1]
             try:
-                yield url, child_pid(process.pid, "operator")
+                yield url, descendant_pid(process.pid, "operator")
             finally:
                 process.send_signal(signal.SIGINT)
                 process.wait(90)

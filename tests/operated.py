@@ -17,7 +17,7 @@ from browser import opened, page_address
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, free_port
 
-from fringedic_ros.testing import child_pid
+from fringedic_ros.testing import descendant_pid
 
 WAIT_MS = 240_000  # for a procedure on a busy computer
 VIEWS = {
@@ -43,7 +43,7 @@ class Operated:
 
     def page_process(self) -> int:
         """Return the process of the page's server."""
-        return child_pid(self.process.pid, "operator")
+        return descendant_pid(self.process.pid, "operator")
 
 
 @contextmanager

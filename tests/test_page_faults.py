@@ -290,13 +290,32 @@ def test_every_press_arrives_whatever_messages_come(page: Page, site: Site, rig:
         assert {each: arrived(page, rig, each, [0.25], press_key) for each in selectors} == dict.fromkeys(selectors, 1)
 
 
+NOTE_ANSWERS = """() => {
+  let pressed = NaN;
+  window.answers = [];
+  addEventListener("click", () => { pressed = performance.now(); }, true);
+  new MutationObserver(() => {
+    if (!Number.isFinite(pressed) || !document.getElementById("message").textContent) return;
+    answers.push(1e-3 * (performance.now() - pressed));
+    pressed = NaN;
+  }).observe(document.getElementById("message"), { childList: true, characterData: true, subtree: true });
+}"""  # the time from each press to the sentence that answers it [s]
+
+
 @pytest.mark.operate
 @pytest.mark.parametrize("state", BUTTONS)
-def test_hundred_of_hundred_presses_arrive(page: Page, site: Site, rig: ShownRig, state: str) -> None:
+def test_hundred_of_hundred_presses_arrive(
+    page: Page, site: Site, rig: ShownRig, state: str, record_property: Callable[[str, object], None]
+) -> None:
+    """Every press arrives and is answered; ``--junitxml FILE`` keeps the times until the answers [s]."""
     selectors = prepare(page, rig, state)
     durations = [0.03 + 0.97 * (37 * number % 100) / 99 for number in range(100)]
+    page.evaluate(NOTE_ANSWERS)
     with messages(site):
         assert {each: arrived(page, rig, each, durations) for each in selectors} == dict.fromkeys(selectors, 100)
+    answers = sorted(page.evaluate("answers"))
+    record_property("answered after [s]: median, longest", (answers[len(answers) // 2], answers[-1]))
+    assert len(answers) == 100 * len(selectors)
 
 
 # a programme
@@ -588,6 +607,9 @@ def test_a_test_and_a_series_begin_with_the_answers_of_the_form(page: Page, rig:
     rig.file.plan_series(series)
     rig.show(series=rig.file.series())
     view(page, "tests")
+    expect(page.locator("#series li").first).to_contain_text("not tested")  # the test of plate 8 is an earlier one
+    (rig.folder / "recordings" / "plate-8" / "report.html").touch()
+    rig.show_tests()
     expect(page.locator("#series li").first).to_contain_text("plate-8: 3 steps measured")
     page.locator("#series li").nth(1).locator("button").click()
     wait_until(lambda: len(rig.commands) == 3, "the test")
@@ -649,6 +671,9 @@ def test_limits_that_request_a_hold_are_set(page: Page, rig: ShownRig) -> None:
     assert rig.commands[-1].model_dump() == {"alarms": [alarm]}
     rig.show(alarms=[alarm | {"reached": "force 451 N reached its limit 450.5; a hold was requested"}])
     expect(page.locator("#alarms")).to_contain_text("a hold was requested")
+    view(page, "maps")
+    expect(page.locator("#reached")).to_contain_text("force 451 N reached its limit 450.5")
+    view(page, "run")
     rig.show(alarms=[alarm | {"reached": ""}])
     expect(page.locator("#alarms li")).to_contain_text("in force")
     rig.show(signals=[force | {"value": None}])

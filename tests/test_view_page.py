@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from browser import NARROW, low_contrasts, opened, page_address
+from browser import NARROW, low_contrasts, opened, viewing_page
 from playwright.sync_api import Browser, Page, Route, expect
-from running_system import RecordedExperiment, free_port, wait_until, without_ros
+from running_system import RecordedExperiment, free_port, wait_until
 
 import fringedic
 from fringedic.evaluation import extensometer
@@ -38,22 +35,8 @@ def dataset(recorded: RecordedExperiment) -> Iterator[xr.Dataset]:
 
 @pytest.fixture(scope="module")
 def url(recorded: RecordedExperiment) -> Iterator[str]:
-    with shown(recorded, free_port()) as address:
+    with viewing_page(recorded.report.folder / "bag", free_port()) as address:
         yield address
-
-
-@contextmanager
-def shown(recorded: RecordedExperiment, port: int) -> Iterator[str]:
-    """Start the command where ROS cannot be imported, and yield the address that it prints."""
-    words = ["view", str(recorded.report.folder / "bag"), "--port", str(port)]
-    command = [sys.executable, "-c", "from fringedic.command.main import main; main()", *words]
-    environment = {**os.environ, "PYTHONPATH": without_ros(), "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
-        assert process.stdout is not None
-        try:
-            yield page_address(process.stdout)
-        finally:
-            process.terminate()
 
 
 @pytest.fixture
@@ -265,12 +248,12 @@ def test_page_that_was_left_open_says_that_the_address_is_another_one(
 ) -> None:
     port = free_port()
     with ExitStack() as yesterday:
-        address = yesterday.enter_context(shown(recorded, port))
+        address = yesterday.enter_context(viewing_page(recorded.report.folder / "bag", port))
         with opened(browser, address) as page:
             expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("step"))
             yesterday.close()
             expect(page.locator("#message")).to_contain_text("has lost its server")
-            with shown(recorded, port):
+            with viewing_page(recorded.report.folder / "bag", port):
                 expect(page.locator("#message")).to_contain_text("open the address that fringedic has printed")
 
 

@@ -54,14 +54,21 @@ def command_lines() -> Iterator[tuple[int, list[str]]]:
         yield int(process.name), words
 
 
-def child_pid(parent: int, executable: str) -> int:
-    """Return the process of an executable that another process has started."""
+def descendant_pid(ancestor: int, executable: str) -> int:
+    """Return the process of an executable that another process, or one that it has started, has started."""
+    found = []
+    parents: dict[int, int] = {}
     for pid, words in command_lines():
         with suppress(OSError):  # it has ended
-            of = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
-            if of == parent and any(Path(word).name == executable for word in words):
+            parents[pid] = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+            if any(Path(word).name == executable for word in words):
+                found.append(pid)
+    for pid in found:
+        process = pid
+        while process := parents.get(process, 0):
+            if process == ancestor:
                 return pid
-    raise ProcessLookupError(f"process {parent} has no child {executable}")
+    raise ProcessLookupError(f"process {ancestor} has not started {executable}")
 
 
 def node_pids(folder: Path) -> dict[str, int]:

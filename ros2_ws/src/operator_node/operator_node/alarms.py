@@ -63,6 +63,13 @@ class Alarms:
                     reason = f"{alarm.signal} {value:.4g} {unit['unit']} reached its limit {limit:g}"
                     self._reached[number] = f"{reason}; {request(reason)}"
 
+    def answer(self, reason: str, words: str) -> None:
+        """Tell what became of the hold that was requested for a reason."""
+        with self._lock:
+            for number, reached in self._reached.items():
+                if reached.startswith(f"{reason}; "):
+                    self._reached[number] = f"{reason}; {words}"
+
     def shown(self) -> list[dict[str, Any]]:
         """Return the limits for the page, with the sentence about each that was reached."""
         with self._lock:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel, Field
@@ -115,7 +115,7 @@ class OperatorNode(RigNode):
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._signals = SignalCollector(longest=1)
         self._alarms = Alarms()
-        self._sent: list[tuple[Client, RepeatedRequest, float]] = []  # requests of limits, until when each is repeated
+        self._sent: list[_Sent] = []  # requests of limits
         self._worker = Worker(self)
         self._subscribe()
         self._starts = self.create_client(StartProcedure, "procedures/start")
@@ -261,33 +261,37 @@ class OperatorNode(RigNode):
     def _request_hold(self, reason: str) -> str:
         """Request a hold of the machine at a limit, and let no further step begin; in the thread of the node."""
         if self._controls.service_is_ready():
-            self._send(self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
+            self._send(reason, self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
         if not self._holds.service_is_ready():
             self.get_logger().error(f"{reason}: there is no node of the machine to request a hold of")
             return "no node of the machine runs: stop it at its own controls"
         self.get_logger().warning(f"{reason}: a hold of the machine is requested")
-        self._send(self._holds, Trigger.Request())
+        self._send(reason, self._holds, Trigger.Request())
         return "a hold was requested"
 
-    def _send(self, client: Client, request: Any) -> None:
+    def _send(self, reason: str, client: Client, request: Any) -> None:
         """Send a request of a limit, which `_repeat` sends again until it is answered."""
         sent = RepeatedRequest(client, request)
-        self._sent.append((client, sent, time.monotonic() + ANSWER_S))
+        self._sent.append(_Sent(reason, client, sent, time.monotonic() + ANSWER_S))
         sent.is_answered()
 
     def _repeat(self) -> None:
-        """Send the requests of limits again when they are due, and log those without effect."""
+        """Send the requests of limits again when they are due; log and show those without effect."""
         waiting = []
-        for client, sent, end in self._sent:
-            is_answered = sent.is_answered()
-            if not is_answered and time.monotonic() < end:
-                waiting.append((client, sent, end))
-                continue
-            if not is_answered:
-                self.get_logger().error(f"{client.srv_name}: no answer within {ANSWER_S:g} s")
-            elif client is self._holds and not sent.response.success:  # without a programme nothing is paused
-                self.get_logger().error(f"{client.srv_name}: {sent.response.message}")
-            with sent:
+        for each in self._sent:
+            is_hold, problem = each.client is self._holds, ""
+            if not each.request.is_answered():
+                if time.monotonic() < each.end:
+                    waiting.append(each)
+                    continue
+                problem = f"no answer within {ANSWER_S:g} s"
+            elif is_hold and not each.request.response.success:  # without a programme nothing is paused
+                problem = each.request.response.message
+            if problem:
+                self.get_logger().error(f"{each.client.srv_name}: {problem}")
+            if problem and is_hold:
+                self._alarms.answer(each.reason, f"NO HOLD: {problem}; stop the machine at its own controls")
+            with each.request:
                 pass  # no request stays pending
         self._sent = waiting
 
@@ -419,6 +423,15 @@ class OperatorNode(RigNode):
 
     def _publish_presence(self) -> None:
         self._present.publish(Bool(data=self._page.wheel.present))
+
+
+class _Sent(NamedTuple):
+    """A request of a limit, which is repeated until it is answered, or until a time [s]."""
+
+    reason: str
+    client: Client
+    request: RepeatedRequest
+    end: float
 
 
 class _FromFirstUse(CallbackGroup):

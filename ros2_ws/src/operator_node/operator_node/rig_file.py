@@ -124,7 +124,7 @@ class ShownRigFile:
         for specimen in series.specimens:
             answered_specimen(rig.test_form, rig.specimen, {**series.answers, SPECIMEN: specimen})
         try:
-            series.save(series_file(self._path))
+            series.model_copy(update={"planned": time.time()}).save(series_file(self._path))
         except OSError as error:
             raise OperatorError(f"the series cannot be kept: {cause_of(error)}") from error
 

@@ -29,13 +29,13 @@ from operator_node.operator_node import TOKEN, OperatorNode
 RIG = "{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}, load_frame: {source: simulated}}"
 
 
-def requests_to(peer: Peer, kind: type[Any], name: str) -> list[Any]:
-    """Offer a service that succeeds, and return the list that its requests are added to."""
+def requests_to(peer: Peer, kind: type[Any], name: str, refusal: str = "") -> list[Any]:
+    """Offer a service that succeeds, or refuses with a sentence; return the list that its requests are added to."""
     requests: list[Any] = []
 
     def answer(request: Any, response: Any) -> Any:
         requests.append(request)
-        response.success = True
+        response.success, response.message = not refusal, refusal
         return response
 
     peer.create_service(kind, name, answer)
@@ -107,6 +107,26 @@ def test_a_limit_of_a_signal_requests_one_hold_of_the_machine(operator: Operator
     peer.serve(0.5)
     assert len(holds) == 1
     assert operator.snapshot()["alarms"][0]["reached"] == "force 451 N reached its limit 450; a hold was requested"
+    peer.destroy_node()
+
+
+def test_a_refused_hold_of_a_limit_is_shown(operator: OperatorNode) -> None:
+    peer = Peer("load_frame")
+    holds = requests_to(peer, Trigger, "load_frame/hold", refusal="the machine is in fault")
+    states = peer.create_publisher(LoadState, "load_frame/state", PREVIEWS)
+    peer.serve_also(operator)
+    peer.wait(lambda: operator.snapshot()["rig"]["machine"], "the service")
+    peer.serve(0.5)  # the service knows the client
+    asyncio.run(operator.do(SetAlarms(alarms=[Alarm(signal="force", above=450.0)])))
+
+    def is_told() -> bool:
+        states.publish(load_state(451.0))
+        return "NO HOLD" in operator.snapshot()["alarms"][0]["reached"]
+
+    peer.wait(is_told, "the refusal")
+    words = "NO HOLD: the machine is in fault; stop the machine at its own controls"
+    assert operator.snapshot()["alarms"][0]["reached"] == f"force 451 N reached its limit 450; {words}"
+    assert len(holds) == 1
     peer.destroy_node()
 
 

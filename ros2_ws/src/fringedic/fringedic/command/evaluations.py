@@ -12,6 +12,7 @@ from fringedic.command.app import (
     RESULTS,
     Bag,
     ReferenceStep,
+    Sensor,
     Settings,
     Why,
     app,
@@ -54,6 +55,7 @@ def evaluate(  # noqa: PLR0913 (options of a command)
     output: Annotated[
         Path | None, typer.Option(help="With --preview: folder for pictures and figures (preview.json).")
     ] = None,
+    sensor: Sensor = None,
     why: Why = "",
 ) -> None:
     """Process a run with other settings as a named evaluation beside its results, which stay as they are."""
@@ -75,6 +77,7 @@ def evaluate(  # noqa: PLR0913 (options of a command)
             ]
             if extensometer
             else changed.gauges,
+            "sensor": sensor or changed.sensor,
             "note": why or changed.note,
         },
         "evaluation",
@@ -84,7 +87,7 @@ def evaluate(  # noqa: PLR0913 (options of a command)
     elif name is not None:
         with because(why):
             _make(bag, name, given)
-    elif settings or reference is not None or region or extensometer or like:
+    elif settings or reference is not None or region or extensometer or like or sensor:
         raise ConfigurationError("give a --name for the evaluation, or --preview STEP to look at one step first")
     else:
         found = named.evaluations(bag.parent)

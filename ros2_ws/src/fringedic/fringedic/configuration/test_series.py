@@ -23,6 +23,7 @@ class Series(Section):
     )
     answers: Answers = Field({}, description="Answers of the form of the test that are common to all.")
     text: str = Field("", description="The programme (YAML); empty for that of the rig file.")
+    planned: float = Field(0.0, description="When it was planned [s since 1970]; entered by the program.")
 
     @model_validator(mode="after")
     def _specimens_differ(self) -> Series:

@@ -155,6 +155,12 @@ def find_dataset(recording: Path, sensor: str | None = None) -> Path | None:
     return _current(recording, _named(recording) + _of_run(recording), sensor)
 
 
+def sensors_of_results(folder: Path) -> list[str]:
+    """Return the names of the sensors whose results are in the folder of a run; `SENSOR` of one that was given none."""
+    groups = _by_named_sensor(folder / name for name in _OF_A_FOLDER)
+    return sorted(name or SENSOR for name, files in groups.items() if files)
+
+
 def _named(recording: Path) -> list[Path]:
     """Return where the datasets with the name of a recording are."""
     beside = dataset_path(recording, overwrite=True)

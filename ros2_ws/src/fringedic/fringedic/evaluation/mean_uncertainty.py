@@ -223,6 +223,11 @@ def error_correlation_of(step: xr.Dataset, name: str) -> ErrorCorrelation | None
     return ErrorCorrelation(int(window), method, spacing, (half[0], half[1]), _SLOPES[name])
 
 
+def maps_for_mean(name: str) -> tuple[str, ...]:
+    """Return the maps that `uncertainty_of_mean` reads beside a map and its standard deviations."""
+    return _PLACES if name in _OF_THE_RIG else ()
+
+
 def uncertainty_of_mean(
     step: xr.Dataset, name: str, values: np.ndarray, sigma: np.ndarray, inside: np.ndarray
 ) -> float:
@@ -234,7 +239,8 @@ def uncertainty_of_mean(
         One step of a dataset, which states how the map was measured. If it does not, the correlation is estimated from
         the map, as its deviation from a plane: the uncertainty is then rather too large.
     name
-        Of the map. The errors of a calibration are common to all points: their mean is not reduced.
+        Of the map. The errors of a calibration are common to all points: their mean is not reduced. Of u, v and w the
+        dataset has to contain `maps_for_mean`; without them, or without the calibration, nothing is reduced.
     values, sigma
         Of the map, (row, column), and its standard deviations.
     inside
@@ -251,7 +257,8 @@ def uncertainty_of_mean(
     known = sigma[measured].astype(float)
     correlation = error_correlation_of(step, name)
     everywhere = np.isfinite(values)
-    if name == "shape_z":  # an unknown part of its uncertainty is that of the calibration
+    is_unknown = name in _OF_THE_RIG and not step.attrs.get("calibration")
+    if name == "shape_z" or is_unknown:  # an unknown part of its uncertainty is that of the calibration
         return float(known.mean())
     if name in _OF_THE_RIG and (calibration := _calibration_of(step)) is not None:
         if correlation is None or not all(each in step for each in _PLACES):

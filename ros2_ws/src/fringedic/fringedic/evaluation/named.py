@@ -50,6 +50,7 @@ class EvaluationSettings(BaseModel):
     gauges: list[Gauge] | None = Field(
         None, max_length=50, description="Virtual extensometers in place of those recorded."
     )
+    sensor: str = Field("", max_length=60, description="Name of the sensor, if there are several.")
     note: str = Field("", max_length=2000, description="Why it was made.")
     created: str = Field("", description="When it was made; entered by the program.")
     software: str = Field("", description="With what it was made; entered by the program.")
@@ -67,7 +68,7 @@ class EvaluationSettings(BaseModel):
             overrides |= dict.fromkeys(_REGIONS, Region.from_text(self.region).to_text())
         if self.gauges is not None:
             overrides["specimen.gauges_px"] = [gauge.model_dump() for gauge in self.gauges]
-        return {"overrides": overrides, "reference": self.reference}
+        return {"overrides": overrides, "reference": self.reference, "sensor": self.sensor or None}
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ def preview(source: Path, settings: EvaluationSettings, step: int) -> tuple[xr.D
         As of `fringedic.process_bag`.
     """
     recording = recording_of(source)
-    with open_experiment(source) as dataset:
+    with open_experiment(source, sensor=settings.sensor or None) as dataset:
         if step not in dataset["step"].values:
             raise DatasetError(f"there is no step {step}: choose one of {dataset['step'].values.tolist()}")
         before = dataset.sel(step=step).load()

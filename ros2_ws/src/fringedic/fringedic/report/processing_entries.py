@@ -262,7 +262,8 @@ def _residual_entries(data: ReportData, note: str) -> list[Entry]:
 
 def changes_text(settings: EvaluationSettings) -> str:
     """Return what a named evaluation changes, for people; empty when that is nothing."""
-    words = [f"{name} = {value}" for name, value in settings.overrides.items()]
+    words = [f"sensor {settings.sensor}"] if settings.sensor else []
+    words += [f"{name} = {value}" for name, value in settings.overrides.items()]
     words += [f"reference step {settings.reference}"] if settings.reference is not None else []
     words += ["another region"] if settings.region else []
     words += ["other extensometers"] if settings.gauges is not None else []

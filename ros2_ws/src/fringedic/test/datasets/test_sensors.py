@@ -7,13 +7,17 @@ from pathlib import Path
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fringedic.command import evaluations as _evaluations  # noqa: F401 (has the subcommand)
 from fringedic.command import recordings  # noqa: F401 (has the subcommands)
 from fringedic.command.app import app
 from fringedic.datasets import open_experiment, process_bag
 from fringedic.datasets.opening import find_dataset
 from fringedic.errors import CalibrationError, DatasetError, RecordingError
+from fringedic.evaluation.named import evaluations, preview
 from fringedic.recording import BagReader, BagWriter, Topic
 from fringedic.recording.verification import verify
+from fringedic.report.page_server.evaluations import Evaluations
+from fringedic.report.processing_entries import changes_text
 from fringedic.rig.model import RigModel
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
@@ -128,3 +132,21 @@ def _calibration() -> RigModel:
     reader = BagReader(RECORDED)
     [topic] = reader.find("calibration").values()
     return RigModel.from_message(next(reader.messages([topic]))[1])
+
+
+def test_an_evaluation_of_one_of_two_sensors_is_listed_and_made(both: Path) -> None:
+    run = both.parent
+    for sensor in ("left", "right"):
+        process_bag(both, output=run / f"results.{sensor}.nc", sensor=sensor)
+    page = Evaluations(lambda: "")
+    assert page.listed(run)["sensors"] == ["left", "right"]
+    assert page.listed(run)["sensor"] == "left"
+    assert page.listed(run, "right")["steps"] == sorted(RIGHT_STEPS)
+    app(["evaluate", str(run), "--name", "fine", "--sensor", "right", "--set", "dic.window=40"], standalone_mode=False)
+    [made] = evaluations(run)
+    assert changes_text(made.settings) == "sensor right; dic.window = 40"
+    with open_experiment(made.dataset) as found:
+        assert (found.attrs["sensor"], found.step.values.tolist()) == ("right", sorted(RIGHT_STEPS))
+    before, _ = preview(run, made.settings, max(RIGHT_STEPS))
+    assert before.attrs["sensor"] == "right"
+    page.close()

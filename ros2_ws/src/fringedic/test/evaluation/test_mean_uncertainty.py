@@ -134,3 +134,8 @@ def test_the_error_of_a_calibration_is_common_to_all_points() -> None:
     text = json.dumps(dataclasses.asdict(exactly), default=lambda array: array.tolist())
     bare = step.assign_attrs(calibration=text)
     assert uncertainty_of_mean(bare, "u", step.u.values, np.hypot(scale, 4e-6), everywhere) < 0.3 * exact
+    unknown = step.drop_attrs()
+    sigma = np.hypot(scale, 4e-6)
+    assert uncertainty_of_mean(unknown, "u", step.u.values, sigma, everywhere) == pytest.approx(sigma.mean()), (
+        "the part of the calibration is not known"
+    )

@@ -28,7 +28,7 @@ from fringedic.frames.region import Point
 from fringedic.report.page_server import maps
 from fringedic.report.page_server.access import Wheel
 from fringedic.report.page_server.catalogue import small_picture
-from fringedic.report.page_server.evaluations import Evaluate, Evaluations, Export, Preview
+from fringedic.report.page_server.evaluations import NICE, Evaluate, Evaluations, Export, Preview
 from fringedic.report.page_server.guard import REPORT_POLICY
 from fringedic.report.page_server.manual import manual_file, manual_page
 from fringedic.report.page_server.marks import Asked, KeepMarks, readings
@@ -231,7 +231,7 @@ def _answering(
 class _Site:
     def __init__(self, rig: Rig, hub: Hub, wheel: Wheel) -> None:
         self._rig, self._hub, self._wheel = rig, hub, wheel
-        self._evaluations = Evaluations(rig.busy)
+        self._evaluations = Evaluations(rig.busy, 0 if isinstance(rig, RecordedRig) else NICE)
         self._texts: dict[str, tuple[Any, str]] = {}  # data of each topic, and their JSON
         self._published: dict[str, str] = {}  # message of each topic that all clients have
 
@@ -330,7 +330,8 @@ class _Site:
 
     @_answering
     async def evaluations(self, request: Request) -> Response:
-        return JSONResponse(plain(await run_in_threadpool(self._evaluations.listed, self._folder(request))))
+        sensor = request.query_params.get("sensor", "")
+        return JSONResponse(plain(await run_in_threadpool(self._evaluations.listed, self._folder(request), sensor)))
 
     @_answering
     async def preview(self, request: Request) -> Response:

@@ -19,7 +19,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from fringedic.datasets.attributes import image_size
-from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.opening import open_experiment, sensors_of_results
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.evaluation.named import SETTINGS, EvaluationSettings, NamedEvaluation, evaluations
 from fringedic.report.previewed_evaluation import PREVIEW
@@ -29,7 +29,8 @@ from fringedic.wording.causes import cause_of
 
 ExportFormat = Literal["png", "csv", "gif", "vtk", "mat", "tiff"]
 PREVIEWED_S = 600.0  # longest time of a preview
-_NICE = 15  # of a process: what drives a rig has the processor first
+NICE = 15  # of a process beside a rig: what drives it has the processor first
+_ENDING_S = 5.0  # of a process, which removes its files
 _SHOWN_SETTINGS = {
     "window": ("dic", "window"),
     "spacing": ("dic", "spacing"),
@@ -62,6 +63,7 @@ class Export(_Asked):
     format: ExportFormat
     evaluation: str = Field("", max_length=60)
     step: int | None = Field(None, ge=0)
+    sensor: str = Field("", max_length=60, pattern=r"^\w*$")
 
 
 class Evaluations:
@@ -71,25 +73,36 @@ class Evaluations:
     ----------
     busy
         Returns why nothing may be computed now, such as a test that runs; "" when it may.
+    nice
+        Niceness of the processes.
     """
 
-    def __init__(self, busy: Callable[[], str]) -> None:
-        self._busy = busy
+    def __init__(self, busy: Callable[[], str], nice: int = NICE) -> None:
+        self._busy, self._nice = busy, nice
         self._one = threading.Lock()
         self._running: subprocess.Popen[str] | None = None
         self._work = Path(tempfile.mkdtemp(prefix="fringedic-evaluations-"))
         self._job: dict[str, Any] = {}
         self._job_of: Path | None = None  # the run that it belongs to
 
-    def listed(self, run: Path) -> dict[str, Any]:
-        """Return the evaluations of a run, its steps, its settings, and what is being made.
+    def listed(self, run: Path, sensor: str = "") -> dict[str, Any]:
+        """Return the evaluations of a run, its sensors, steps and settings, and what is being made.
+
+        Parameters
+        ----------
+        run
+            Its folder.
+        sensor
+            Name of the sensor whose steps and settings are listed; by default the first one.
 
         Raises
         ------
         FringedicError
             The run has no results.
         """
-        with open_experiment(run) as dataset:
+        sensors = sensors_of_results(run)
+        chosen = sensor or (sensors[0] if len(sensors) > 1 else "")
+        with open_experiment(run, sensor=chosen or None) as dataset:
             steps = [
                 int(step)
                 for step, error in zip(dataset["step"].values, dataset["error"].values, strict=True)
@@ -113,6 +126,8 @@ class Evaluations:
         ]
         return {
             "evaluations": found,
+            "sensors": sensors,
+            "sensor": chosen,
             "steps": steps,
             "settings": settings,
             "size": size,
@@ -171,6 +186,7 @@ class Evaluations:
             folder = Path(tempfile.mkdtemp(dir=self._work))
             words = ["--to", asked.format, "--output", str(folder / "files")]
             words += [] if asked.step is None else ["--step", str(asked.step)]
+            words += ["--sensor", asked.sensor] if asked.sensor and not asked.evaluation else []
             try:
                 self._command(["export", str(source), *words], None)
                 packed = self._work / f"{folder.name}.zip"
@@ -197,9 +213,14 @@ class Evaluations:
 
     def close(self) -> None:
         """End what is being computed; an evaluation that is not complete is removed by its process."""
-        if self._running is not None:
+        running = self._running
+        if running is not None:
             with suppress(OSError):
-                self._running.terminate()
+                running.terminate()
+            try:
+                running.wait(_ENDING_S)
+            except subprocess.TimeoutExpired:
+                running.kill()
         shutil.rmtree(self._work, ignore_errors=True)
 
     def _enter(self) -> None:
@@ -229,7 +250,7 @@ class Evaluations:
 
     def _command(self, words: Sequence[str], longest_s: float | None) -> None:
         """Run the command in a process, and raise its sentence when it fails."""
-        command = ["nice", "-n", str(_NICE), sys.executable, "-m", "fringedic", *words]
+        command = ["nice", "-n", str(self._nice), sys.executable, "-m", "fringedic", *words]
         try:
             process = subprocess.Popen(
                 command,

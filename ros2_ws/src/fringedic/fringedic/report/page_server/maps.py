@@ -94,10 +94,11 @@ class SpooledMaps:
         folder.mkdir(parents=True, exist_ok=True)
         # kept, because the page asks for them several times a second, and a step has some 40 files
         self._names = {int(place.name): _names_in(place) for place in sorted(folder.iterdir())}
+        self._attributes: dict[Any, Any] = {}  # of the dataset, as soon as there is one
 
     def clear(self) -> None:
         """Remove all maps: another experiment begins."""
-        self._names = {}
+        self._names, self._attributes = {}, {}
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir(parents=True, exist_ok=True)
 
@@ -124,9 +125,11 @@ class SpooledMaps:
         self._names = {each: names[each] for each in sorted(names) if each not in forgotten}  # at once, for all threads
 
     def complete(self, recorded: StepMaps) -> None:
-        """Keep the maps of steps of a recording during which no server ran, or which it heard in part."""
+        """Take over what a recording states of its maps, and the maps that no server heard, or heard in part."""
         known = self.names()
         for step, names in recorded.names().items():
+            if names and not self._attributes:
+                self._attributes = dict(recorded.dataset(step, names[:1]).attrs)
             if set(names) & {"displacement_x", "u"} - set(known.get(step, ())):
                 found = recorded.dataset(step, names)
                 self.put(step, {name: found[name].values for name in names}, _spacing(found))
@@ -143,7 +146,8 @@ class SpooledMaps:
         maps = {name: np.load(place / f"{name}.npy", mmap_mode="r") for name in names}
         rows, columns = next(iter(maps.values())).shape
         fields = {name: (("row", "column"), values) for name, values in maps.items()}
-        return xr.Dataset(fields, {"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)})
+        places = {"step": step, "row": spacing * np.arange(rows), "column": spacing * np.arange(columns)}
+        return xr.Dataset(fields, places, self._attributes)
 
 
 def _names_in(place: Path) -> list[str]:

@@ -14,6 +14,7 @@ from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.datasets.quantities import sigma_of
 from fringedic.errors import DatasetError, FringedicError, OperatorError
 from fringedic.evaluation import region_statistics
+from fringedic.evaluation.mean_uncertainty import maps_for_mean
 from fringedic.evidence.changes import noted
 from fringedic.frames.region import Point, Polygon, Region
 from fringedic.recording.manifest import write_whole
@@ -183,7 +184,8 @@ def _of_point(maps: StepMaps, step: int, name: str, point: Point) -> dict[str, A
 
 
 def _of_area(maps: StepMaps, step: int, name: str, mark: Mark) -> dict[str, Any]:
-    dataset = maps.dataset(step, _with_sigma(maps, step, name))
+    places = [each for each in maps_for_mean(name) if each in maps.names().get(step, ())]
+    dataset = maps.dataset(step, [*dict.fromkeys((*_with_sigma(maps, step, name), *places))])
     table = region_statistics(dataset, [name], Region((Polygon(tuple(mark.corners)),)))
     values = {str(each): float(table[name].sel(statistic=each)) for each in table["statistic"].values}
     return {

@@ -24,7 +24,7 @@ from fringedic.report.page_server.streams import Hub, Payload
 from fringedic.wording.causes import cause_of
 
 LONGEST_MESSAGE = 4096  # [byte] of a browser on the stream: it has nothing to say there
-ENDING_S = 2.0
+ENDING_S = 8.0  # longer than the end of a process of an evaluation
 SILENT_S = 10.0  # until a connection has sent its request; it needs no token to be open
 MOST_SILENT = 50  # connections that may wait so at the same time
 _ENDED = """HTTP/1.1 408 Request Timeout\r

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -10,17 +12,23 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 from served import write_test
 
+from fringedic.camera.distortion import DistortionMap
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.test_card import Card
+from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import ConfigurationError, OperatorError
+from fringedic.evaluation import region_statistics
 from fringedic.evidence.changes import begin_log
 from fringedic.evidence.log import read_log
+from fringedic.frames.region import Polygon, Region
 from fringedic.report.page_server.catalogue import Catalogue, opened_test, small_picture
-from fringedic.report.page_server.maps import SpooledMaps
+from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps
 from fringedic.report.page_server.marks import MARKS, Asked, KeepMarks, Mark, Marks, load_marks, readings
 from fringedic.report.page_server.recorded import RecordedRig
+from fringedic.rig.model import RigModel
 
 PLATE_7: dict[str, str | float] = {
     "specimen": "plate 7",
@@ -118,6 +126,51 @@ def test_marks_read_the_values_of_the_dataset(tmp_path: Path) -> None:
     assert "lies outside the result" in outside[0]["problem"]
     [[one]] = readings(rig.maps, Asked(name="u", marks=marks[:1], steps=[2]))
     assert one["step"] == 2
+
+
+def test_an_area_has_the_uncertainty_of_the_library(tmp_path: Path) -> None:
+    """That of a running test was reduced with the part of the calibration, that of a dataset not at all."""
+    source = write_test(tmp_path, "plate-7", PLATE_7, stretch=1e-3) / "results.nc"
+    rig = RigModel(
+        camera_width=160,
+        camera_height=96,
+        camera_distance=0.8,
+        pixel_size=100e-6,
+        pixel_aspect=1.0,
+        principal_column=79.5,
+        principal_row=47.5,
+        camera_distortion=DistortionMap(160, 96, 1e-3 * np.eye(3), np.zeros((3, 3))),
+        projector_width=800,
+        projector_height=600,
+        projector_position=(-0.3, 0.0, 0.9),
+        projector_focal_length=1200.0,
+        projector_principal_column=399.5,
+        projector_principal_row=299.5,
+        parameter_names=("pixel_size",),
+        covariance=((1e-3 * 100e-6) ** 2,),
+    )
+    calibration = json.dumps(dataclasses.asdict(rig), default=lambda array: array.tolist())
+    with xr.open_dataset(source) as opened:
+        dataset = opened.load()
+    dataset = dataset.assign(displacement_x=dataset.u / 1e-4, displacement_y=0 * dataset.u)
+    save_netcdf(dataset.assign_attrs(calibration=calibration, displacement_window_px=16), tmp_path / "results.nc")
+    recorded = RecordedMaps(tmp_path / "results.nc")
+    corners = [[16.0, 16.0], [128.0, 16.0], [128.0, 80.0], [16.0, 80.0]]
+    area = Asked(name="u", marks=[Mark(name="A", kind="area", points=corners)], steps=[2])
+    region = Region((Polygon(tuple((x, y) for x, y in corners)),))
+    table = region_statistics(recorded.experiment.sel(step=2), ["u"], region)
+    expected = float(table.u.sel(statistic="standard_uncertainty"))
+    assert 0 < expected < 0.8e-7, "the noise of 0.1 µm is reduced"
+    [[reading]] = readings(recorded, area)
+    assert reading["sigma"] == pytest.approx(expected)
+    running = SpooledMaps(tmp_path / "spooled")
+    names = recorded.names()[2]
+    running.put(2, {name: each.values for name, each in recorded.dataset(2, names).items()}, spacing=8)
+    [[reading]] = readings(running, area)
+    assert reading["sigma"] == pytest.approx(1e-7), "the calibration is not known while the test runs"
+    running.complete(recorded)
+    [[reading]] = readings(running, area)
+    assert reading["sigma"] == pytest.approx(expected)
 
 
 def test_an_extensometer_has_no_reading_at_a_step_without_a_surface(tmp_path: Path) -> None:

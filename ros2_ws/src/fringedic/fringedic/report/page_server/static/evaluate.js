@@ -28,6 +28,8 @@ class EvaluateView {
     const change = () => patch(this.seen);
     this.test = keep(make("select", { id: "test", onchange: () => this.look() }));
     this.step = keep(make("select", { id: "preview-step" }));
+    this.sensor = keep(make("select", { id: "sensor", onchange: () => this.look() }));
+    this.sensors = make("div", { class: "row", hidden: true }, make("label", {}, "Sensor ", this.sensor));
     this.fields = {
       window: numberField({ id: "window", min: 8, max: 1000, whole: true, changed: change }),
       spacing: numberField({ id: "spacing", min: 1, max: 100, whole: true, changed: change }),
@@ -54,6 +56,7 @@ class EvaluateView {
       make("section", {},
         make("div", { class: "panel" },
           make("div", { class: "row" }, make("label", {}, "Test ", this.test), make("label", {}, "Preview on step ", this.step)),
+          this.sensors,
           make("p", { class: "soft" }, "An empty field leaves the setting as it was recorded."),
           make("div", { class: "row" }, row("Window", "window", "px"), row("Spacing", "spacing", "px"), row("Strain window", "strain_window", "px"), row("Filter of heights", "z_filter", "px")),
           make("div", { class: "row" }, row("Reference step", "reference"), row("Region", "region", "px"), row("Extensometer", "gauge", "px")),
@@ -90,19 +93,26 @@ class EvaluateView {
       patch(this.seen);
       this.paint();
     }
-    const found = await tried(this.newest(evaluations(folder)));
+    const found = await tried(this.newest(evaluations(folder, this.chosenSensor())));
     if (!found) {
       if (folder === this.test.value && !this.known) { this.none = "This test has no results."; this.paint(); }
       return;
     }
     const was = this.known?.job?.state;
     this.known = { ...found, folder };
+    options(this.sensor, found.sensors.map((name) => [name, name]), found.sensor);
+    this.sensors.hidden = found.sensors.length < 2;
     options(this.step, found.steps.map((step) => [step, step]), this.step.value || found.steps.at(-1));
     options(this.exported, [["", "of the run"], ...found.evaluations.map(({ name }) => [name, name])]);
     options(this.exportedStep, [["", "all"], ...found.steps.map((step) => [step, step])]);
     for (const [key, value] of Object.entries(found.settings)) this.notes[key].textContent = value === null ? "" : ` (was ${value})`;
     if (was === "runs" && found.job.state !== "runs") say(found.job.words);
     this.paint();
+  }
+
+  // The sensor of a test with several; another test has others.
+  chosenSensor() {
+    return this.known && !this.sensors.hidden ? this.sensor.value : "";
   }
 
   // The settings of the fields, or null when one has no valid value.
@@ -117,6 +127,7 @@ class EvaluateView {
       reference: values.reference,
       region: values.region ? JSON.stringify({ width, height, polygons: [{ points: corners, hole: false }] }) : "",
       gauges: values.gauge ? [{ name: "1", first: values.gauge.slice(0, 2), second: values.gauge.slice(2) }] : null,
+      sensor: this.chosenSensor(),
       note: this.note.value.trim(),
     };
   }
@@ -162,7 +173,7 @@ class EvaluateView {
       ...made.map(({ name, changes, report }) => make("li", { class: "good", "data-key": `of-${name}` }, make("strong", {}, name),
         make("p", { class: "soft" }, changes || "as recorded"),
         report ? make("a", { href: `${at}/${encodeURIComponent(name)}/report`, target: "_blank", rel: "noopener" }, "Report") : null)));
-    const query = new URLSearchParams({ format: this.format.value, evaluation: this.exported.value, step: this.exportedStep.value });
+    const query = new URLSearchParams({ format: this.format.value, evaluation: this.exported.value, step: this.exportedStep.value, sensor: this.chosenSensor() });
     patch(this.exports, none ? make("span", { class: "soft" }, none)
       : make("a", { href: `/export/${encodeURIComponent(folder)}?${query}`, id: "download", download: "" }, "Download"));
   }

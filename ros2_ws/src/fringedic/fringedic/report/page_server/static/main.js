@@ -117,5 +117,10 @@ listen("wheel", (wheel) => { takeWheel(wheel); takeProcedure(latest("procedure")
 listen("procedure", takeProcedure);
 listen("tests", () => { if (latest("rig")) takeRig(latest("rig")); });
 listen("connected", (is) => say(is ? "" : "The page has lost its server. The measurement goes on without it; the page connects again by itself."));
+listen("alarms", (alarms) => {
+  const reached = document.getElementById("reached"), words = (alarms ?? []).map((each) => each.reached).filter(Boolean);
+  reached.hidden = !words.length;
+  reached.textContent = words.join("; ");
+});
 listen("refused", say);
 connect();

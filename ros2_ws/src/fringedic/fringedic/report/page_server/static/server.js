@@ -107,7 +107,7 @@ async function posted(path, content) {
 }
 
 // Named evaluations of a test, its steps and settings, and what is being computed.
-export const evaluations = async (folder) => (await get(`/evaluations/${encodeURIComponent(folder)}`)).json();
+export const evaluations = async (folder, sensor) => (await get(`/evaluations/${encodeURIComponent(folder)}?${new URLSearchParams({ sensor })}`)).json();
 
 // What a programme would do, and why it may not be started.
 export const checkProgramme = (text) => posted("/check", { text });

@@ -36,7 +36,7 @@ export function show(place) {
   make("div", { class: "picture" }, canvas, axes), make("div", { class: "bar", id: "space-bar" }, low, bar, high), words));
   const chosen = newest();
   const load = async () => {
-    if (!step.value || !quantity.value) return;
+    if (!step.value || !quantity.value || !scene.gl) return;
     const of = `${quantity.value} of step ${step.value}`, found = (shown("quantities") ?? []).find(({ name }) => name === quantity.value);
     const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;

@@ -67,10 +67,10 @@ function row(test) {
 
 // One click measures the next specimen with the programme and the answers of the series.
 function seriesParts() {
-  const { specimens = [], answers = {}, text = "", problem = "" } = latest("series") ?? {}, tests = latest("tests") ?? [];
+  const { specimens = [], answers = {}, text = "", planned = 0, problem = "" } = latest("series") ?? {}, tests = latest("tests") ?? [];
   const common = Object.entries(answers).map(([name, value]) => `${name} ${value}`).join(", ");
   const lines = specimens.map((specimen) => {
-    const done = tests.find((each) => each.specimen === specimen);
+    const done = tests.find((each) => each.specimen === specimen && each.when >= planned);
     return make("li", { class: "row", "data-key": specimen }, make("strong", {}, specimen),
       done ? make("span", { class: done.state }, `${done.name}: ${done.verdict}`) : make("span", { class: "soft" }, "not tested"),
       button(done ? "Test again" : "Test", { class: done ? "" : "main", "data-key": "test", "aria-label": `Test ${specimen}`, why: cannotStart(),
