@@ -302,7 +302,8 @@ class RigClient:
         Raises
         ------
         MoveStoppedError, StepFailedError, WaitTimeoutError
-            See `move`. No error of a stack is raised.
+            See `move`. No error of a stack is raised. `StepFailedError` also when the samples show that the machine
+            stands still, and the load frame node does not end the move.
         """
         goal = self._move_goal(position, speed, force_above, force_below)
         self._settle_own_hold()
@@ -338,9 +339,33 @@ class RigClient:
 
             while not may_follow():
                 self._spin_once()
+        if not is_over():
+            self._end_still_move(move, is_over, _move_text(goal))
         ended = self._result(move.sent, is_over, _move_text(goal))
         self._moving = None
         return move.outcome(ended)
+
+    def _end_still_move(self, move: _Move, is_over: Callable[[], bool], what: str) -> None:
+        """Request the end of a move without a result of a machine that stands still, and wait for it.
+
+        The result was requested again and again meanwhile.
+
+        Raises
+        ------
+        StepFailedError
+            There is still no result.
+        """
+        move.end()
+        try:
+            self.wait_for(is_over, LATE_RESULT_S, lambda: what)
+        except WaitTimeoutError:
+            self._moving = None
+            load = self._load
+            where = "" if load is None else f" at {1e3 * load.position:.4f} mm, {load.force:.1f} N"
+            raise StepFailedError(
+                f"{what}: the machine stands still{where}, but its node load_frame does not end the move; the stacks "
+                "are measured; read the log of the node, and start it again before the next move"
+            ) from None
 
     def _measure_during(self, move: _Move, feedback: Callable[[MeasureStep.Feedback], None]) -> MeasureStep.Result:
         """Return the result of a stack in motion."""
@@ -868,6 +893,11 @@ class _Move:
         self.sent = sent
         self._until = until
         self._stopped, self._again_s = False, 0.0
+
+    def end(self) -> None:
+        """Request the end of the move, as when its condition is met."""
+        self._stopped = True
+        self.sent.handle.cancel_goal_async()
 
     def is_over(self, value: Callable[[_Followed], float]) -> bool:
         """Return whether the move has ended; request its end when the condition is met by these values."""

@@ -332,3 +332,27 @@ def test_a_cancel_between_two_stacks_ends_the_move(rig: Rig) -> None:
         with pytest.raises(MoveStoppedError):
             controller.measure_while_moving(CANCELLED, 1e-3, every_s=0.5, measured=measured)
     assert len(stacks) == 1
+
+
+@pytest.mark.parametrize("position", [CANCELLED, SILENT])
+def test_a_move_without_a_result_ends_with_the_samples(
+    position: float, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine held at its force, the result did not come, and the wait lasted an hour."""
+    monkeypatch.setattr(client, "LATE_RESULT_S", 1.0)
+    rig.step_s = 0.1
+    stacks: list[int] = []
+    with RigClient() as controller:
+        controller.wait_for(rig.loads.get_subscription_count, 30, lambda: "the subscription of the client")
+        rig.loads.publish(LoadState(mode=LoadState.MOVING))
+
+        def measured(result: MeasureStep.Result, _: bool) -> None:
+            stacks.append(result.step)
+            rig.loads.publish(LoadState(mode=LoadState.HOLD, position=1.2e-4, force=200.0))
+
+        if position == SILENT:
+            with pytest.raises(StepFailedError, match=r"stands still at 0.1200 mm, 200.0 N, but its node load_frame"):
+                controller.measure_while_moving(position, 1e-3, measured=measured)
+        else:  # ends when it is cancelled
+            controller.measure_while_moving(position, 1e-3, measured=measured)
+    assert stacks
