@@ -16,9 +16,12 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as fringedic_ros does
 
+import cv2
 import numpy as np
+import xarray as xr
 from moving_scenes.scene import Motion, Scene, Shown
 
+from fringedic.correlation import measure_displacement
 from fringedic.errors import FringedicError
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import WHITE, PatternKind, ProjectedPattern
@@ -145,6 +148,55 @@ def measure_speeds(page: Page, count: int) -> None:
         )
         page.add(f"wrong orders, {what}", f"{tally.wrong} of {tally.points / 1e6:.2f} million", "0")
         page.add(f"part of the image that is measured, {what}", f"{min(tally.valid):.0%} to {max(tally.valid):.0%}")
+
+
+def measure_displacements(page: Page, count: int) -> None:
+    """Ratios to rest of displacement and strain, between a stack at rest and one in motion."""
+    names = ("u", "v", "w", "e_11", "e_22", "e_12")
+    for speed in (0.25, 1.0, 3.0):
+        ratios = []
+        for k in range(count):
+            scene = Scene(seed=200 + k, exposure=EXPOSURE)
+            angle = TURN * (k + 0.5) / count
+            motion = Motion(speed * np.cos(angle), speed * np.sin(angle), 0.3, ((1e-4, 0.0), (0.0, 2e-4)))
+            passed = 3.0 / speed  # [frame] after which a point has moved by 3 px
+            still = sequence(tuple(range(1, SHIFTS + 1)), white=False)
+
+            held, onward = (lambda _, at=passed: at), (lambda t, at=passed: t + at)
+            reference = absolute_phase(expose(scene, still, Motion(), 1), still, noise=NOISE)
+            resting = absolute_phase(expose(scene, still, replace(motion, course=held), 2), still, noise=NOISE)
+            moving = measure(scene, replace(motion, course=onward), 2).maps
+            errors = [errors_of(scene, motion, passed, reference, each) for each in (resting, moving)]
+            both = np.isfinite(errors[0]).all(axis=0) & np.isfinite(errors[1]).all(axis=0)
+            at_rest, in_motion = (np.sqrt(np.mean(each[:, both] ** 2, axis=1)) for each in errors)
+            ratios.append(in_motion / at_rest)
+        mean, largest = np.mean(ratios, axis=0), np.max(ratios, axis=0)
+        for name, average, worst in zip(names, mean, largest, strict=True):
+            page.add(
+                f"RMS of {name} over that at rest, {speed:g} px/frame in {count} directions: mean, largest",
+                f"{average:.2f}, {worst:.2f}",
+                "<= 1.15",
+            )
+
+
+def errors_of(scene: Scene, motion: Motion, course: float, reference: xr.Dataset, deformed: xr.Dataset) -> np.ndarray:
+    """Return the errors of u, v, w [px] and of the strain between two stacks at the points of the first one."""
+    field = measure_displacement(reference.texture.values, deformed.texture.values, window=24)
+    found = np.stack([field.displacement_x.values, field.displacement_y.values])
+    rows, columns = np.indices(found.shape[1:], np.float32)
+    there = cv2.remap(deformed.phase.values.astype(np.float32), columns + found[0], rows + found[1], cv2.INTER_CUBIC)
+    rise = (there - reference.phase.values) * PITCH / TURN - found[0]
+    x, y = np.meshgrid(np.arange(scene.columns) - (scene.columns - 1) / 2, np.arange(scene.rows) - (scene.rows - 1) / 2)
+    (xx, _), (_, yy) = motion.gradient
+    u = found[0] - course * (motion.right + xx * x)
+    v = found[1] - course * (motion.down + yy * y)
+    w = rise / scene.slope - course * motion.up
+    smooth = [cv2.blur(each.astype(np.float32), (15, 15)) for each in (u, v)]
+    (u_y, u_x), (v_y, v_x) = (np.gradient(each) for each in smooth)
+    errors = np.stack([u, v, w, u_x, v_y, (u_y + v_x) / 2])
+    errors[:, [*range(24), *range(-24, 0)]] = np.nan  # the border that a point may cross
+    errors[:, :, [*range(24), *range(-24, 0)]] = np.nan
+    return errors
 
 
 def measure_ways(page: Page) -> None:
@@ -364,6 +416,7 @@ def main() -> None:
     count = 5 if options.quick else options.random
     page = Page()
     measure_speeds(page, max(count // 40, 2))
+    measure_displacements(page, max(count // 40, 2))
     measure_ways(page)
     measure_courses(page, max(count // 15, 2))
     measure_random(page, count)

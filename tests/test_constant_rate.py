@@ -11,10 +11,13 @@ import xarray as xr
 from running_system import RecordedExperiment, record_experiment
 
 import fringedic
+from fringedic.configuration.rig_file import load_rig_file
 from fringedic.datasets.processing import dataset_from_derived, process_bag
 from fringedic.evaluation import open_truth, rates, truth_errors
+from fringedic.recording.every_frame import STEPS_PER_STACK
 from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
+from fringedic.virtual_rig import VirtualRig
 
 SPEED, END = 6e-6, 1.2e-4  # [m/s] of the crosshead, and where it reaches the force [m]
 PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 200}}}"
@@ -81,6 +84,29 @@ def test_frames_give_the_same_bits_as_the_nodes(pulled: RecordedExperiment, tmp_
         assert {"phase", "u", "e_22", "sigma_w", "force", "position"} <= {*shared}
         for name in [*shared, "time"]:
             np.testing.assert_array_equal(nodes[name], processed[name], err_msg=name)
+
+
+def test_a_window_that_slides_by_a_frame_is_as_good_as_a_stack(
+    pulled: RecordedExperiment, moving: xr.Dataset, tiny: Path, tmp_path: Path
+) -> None:
+    first = int(moving.step[0])
+    windows = [STEPS_PER_STACK * first + frame for frame in range(8)]
+    steps = [0, *windows, STEPS_PER_STACK * (first + 1)]
+    sliding = process_bag(pulled.report.folder / "bag", output=tmp_path / "every.nc", steps=steps, every_frame=True)
+    rig = VirtualRig(load_rig_file(tiny).virtual_configuration())
+    with fringedic.open_experiment(sliding) as every:
+        assert (every.error == "").all()
+        assert (np.diff(every.time.values) > np.timedelta64(0)).all()
+        for name in ("phase", "w"):
+            own, stack = every[name].sel(step=windows[0]), moving[name].sel(step=first)
+            np.testing.assert_array_equal(own, stack, err_msg=f"{name} of the stack itself")
+        for step in windows:
+            window = every.sel(step=step)
+            assert float(np.isfinite(window.w).mean()) > 0.4
+            truth = rig.truth(float(window.position), 0.0)
+            for name in "uvw":
+                scores = (window[name].values - truth[name]) / window[f"sigma_{name}"].values
+                assert 0.8 < float(np.sqrt(np.nanmean(scores**2))) < 1.25, (step, name)
 
 
 def test_the_report_states_the_motion(pulled: RecordedExperiment) -> None:

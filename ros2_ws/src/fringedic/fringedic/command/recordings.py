@@ -61,6 +61,14 @@ def process(  # noqa: PLR0913 (options of a command)
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
     ] = None,
     overwrite: Overwrite = False,
+    every_frame: Annotated[
+        bool,
+        typer.Option(
+            "--every-frame",
+            help="Between the stacks of a specimen in motion measure one for every frame; step 12 becomes 1200, and "
+            "1203 is three frames later.",
+        ),
+    ] = False,
     why: Why = "",
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
@@ -106,6 +114,7 @@ def process(  # noqa: PLR0913 (options of a command)
                 experiment=experiment,
                 sensor=sensor,
                 overwrite=overwrite,
+                every_frame=every_frame,
                 progress=tell,
             )
         with open_experiment(written) as dataset:

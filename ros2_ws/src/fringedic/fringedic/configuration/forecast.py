@@ -43,6 +43,15 @@ _ROUNDING = 1e-6  # of the number of stacks during a move
 UNKNOWN_SIZE = 2560, 1920  # (width, height) [px] assumed for images whose size is known from their files only
 
 
+def frame_interval(rig: RigFile) -> float:
+    """Return the expected time from frame to frame of a step in motion [s]; NaN where the exposure is not known."""
+    time = FRAME_TIME + rig.camera.exposure_time + rig.camera.settle_time
+    if rig.camera.source == "virtual":  # every frame shows another position
+        width, height = rig.camera_size() or UNKNOWN_SIZE
+        time += sum(RENDERING_TIME) * width * height
+    return time
+
+
 @dataclass(frozen=True)
 class Forecast:
     """Time and disk space of a programme; `fringedic.configuration.sentences.forecast_sentence` composes a sentence.
@@ -233,10 +242,7 @@ class _Costs:
             way = 0.0 if step.position is None else abs(step.position - position)
             position = position if step.position is None else step.position
             if step.mode == "moving":
-                frame_time = self.frame_time
-                if self.rig.camera.source == "virtual":  # every frame shows another position
-                    frame_time += RENDERING_TIME[0] * self.pixels
-                of_one = STEP_TIME + self.frames(step) * frame_time + self.evaluation_time(step)
+                of_one = STEP_TIME + self.frames(step) * frame_interval(self.rig) + self.evaluation_time(step)
                 count = way / step.speed / max(of_one, step.every_s)
                 if count >= MOST_STEPS:
                     raise ConfigurationError(

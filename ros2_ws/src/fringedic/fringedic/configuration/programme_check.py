@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
+from fringedic.configuration.crosshead_motion import crosshead_motion
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError, PatternError
+from fringedic.settings.experiment import MOVING_ONE_WAY
 from fringedic.settings.load_frame import DescribedLoadFrame
 from fringedic.wording.yaml_text import load_yaml
 
+_MOST_IN_STACK = 0.5  # of the height of the image, by which a point may move during a stack
 _ROUNDING = 1e-9  # relative; positions of a ramp are computed
 
 
@@ -92,7 +96,7 @@ def check_programme(rig: RigFile, programme: Programme) -> None:
     ------
     ConfigurationError
         The rig moves no machine, so that all steps would be measured at the same load; a position or a speed is
-        outside the range of the machine; or the rig cannot measure while it moves.
+        outside the range of the machine; or the rig cannot measure while it moves at this speed.
     """
     allowed, steps = machine_range(rig), programme.load_steps()
     if any(step.mode == "moving" for step in steps):
@@ -132,3 +136,35 @@ def _check_moving(rig: RigFile, programme: Programme) -> None:
         rig.moving_patterns()
     except PatternError as error:
         raise ConfigurationError(f"{programme.experiment}: {error}") from error
+    for step in programme.load_steps():
+        if step.mode == "moving":
+            _check_speed(rig, step.speed_mm_per_s, programme.experiment)
+
+
+def _check_speed(rig: RigFile, speed_mm_per_s: float, name: str) -> None:
+    """Refuse a speed that the stacks of a rig with a known calibration cannot follow."""
+    motion = crosshead_motion(rig, 1e-3 * speed_mm_per_s)
+    if motion is None:
+        return
+    followed, cure = max(abs(each) for each in rig.sequence.motion_range), ""
+    if motion.in_stack > _MOST_IN_STACK:
+        raise ConfigurationError(
+            f"{name} measures at {speed_mm_per_s:g} mm/s, where a point moves by {motion.pixels:.3g} px from frame to "
+            f"frame, {100 * motion.in_stack:.0f} % of the image during a stack; reduce speed_mm_per_s to "
+            f"{_lower(speed_mm_per_s * _MOST_IN_STACK / motion.in_stack)}"
+        )
+    if motion.fringes > followed:
+        if motion.fringes <= MOVING_ONE_WAY:
+            cure = f", set sequence.motion_fringes to [0, {MOVING_ONE_WAY}] or [-{MOVING_ONE_WAY}, 0] by the direction"
+        raise ConfigurationError(
+            f"{name} measures at {speed_mm_per_s:g} mm/s, where a point moves by {motion.pixels:.3g} px, "
+            f"{motion.fringes:.2f} fringes, from frame to frame, and the shifts follow {followed:.2f}; reduce "
+            f"speed_mm_per_s to {_lower(speed_mm_per_s * followed / motion.fringes)}{cure}, use a coarser finest "
+            "pitch, or expose for a shorter time"
+        )
+
+
+def _lower(value: float) -> str:
+    """Return a value rounded down to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / unit) * unit:.2g}"

@@ -29,6 +29,7 @@ from fringedic.evidence.changes import noted
 from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
+from fringedic.recording.every_frame import EveryFrameReader
 from fringedic.recording.frames import RecordedMessage, events, paired
 from fringedic.recording.growing import FollowError, GrowingRecording
 from fringedic.recording.reader import BagReader
@@ -69,6 +70,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     experiment: str | None = None,
     sensor: str | None = None,
     overwrite: bool = False,
+    every_frame: bool = False,
     progress: Callable[[int, str], None] | None = None,
 ) -> Path:
     """Measure a recorded experiment again from its raw topics, by the same step functions that the nodes call.
@@ -102,6 +104,9 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         Name of the experiment and of the sensor, if the recording contains several.
     overwrite
         Replace an existing output.
+    every_frame
+        Between the stacks of a surface in motion measure one for every frame, see `EveryFrameReader`; the numbers of
+        all steps are multiplied by 100.
     progress
         Called after each step with its number and its error message, empty when it succeeded.
 
@@ -133,7 +138,9 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     """
     only = None if steps is None else frozenset(steps)
     several = () if reference is None else (reference,) if isinstance(reference, int) else tuple(sorted(reference))
-    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, sensor, only)
+    settings = ProcessingSettings(
+        overrides or {}, several, calibration, experiment, sensor, only, every_frame=every_frame
+    )
     source = _name_nearby(str(path)) if is_remote(path) else recording_of(Path(path))
     target = None if output is None else dataset_path(source, output, overwrite)  # refused before anything is copied
     with local_copy(path, PROCESSED_TOPICS) as nearby:
@@ -165,6 +172,8 @@ class ProcessingSettings:
     segment
         (number from 0, count): only the steps of one of several equal parts of the recording, without those of its
         references.
+    every_frame
+        A stack in motion for every frame.
     """
 
     overrides: Mapping[str, Any] = field(default_factory=dict)
@@ -174,6 +183,11 @@ class ProcessingSettings:
     sensor: str | None = None
     steps: frozenset[int] | None = None
     segment: tuple[int, int] | None = None
+    every_frame: bool = False
+
+    def reader(self, path: str | os.PathLike[str]) -> BagReader:
+        """Return the reader of a recording."""
+        return (EveryFrameReader if self.every_frame else BagReader)(path, sensor=self.sensor)
 
     def as_details(self) -> dict[str, Any]:
         """Return the settings as the log of a run contains them; of a calibration its identifier."""
@@ -184,6 +198,7 @@ class ProcessingSettings:
             "experiment": self.experiment,
             "sensor": self.sensor,
             "steps": None if self.steps is None else sorted(self.steps),
+            **({"every_frame": True} if self.every_frame else {}),
         }
 
 
@@ -223,7 +238,7 @@ def process_into(
     FringedicError
         See `process_bag`.
     """
-    reader = BagReader(path, sensor=settings.sensor)
+    reader = settings.reader(path)
     names = _processed_topics(reader)
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked

@@ -18,6 +18,7 @@ from fringedic.patterns.response import FULL_SCALE
 from fringedic.phase.layout import Layout, layout_of
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
+from fringedic.settings.experiment import SequenceSettings
 from fringedic.steps.parameters import CouplingParameters, DicParameters
 from fringedic.virtual_rig import VirtualRigConfiguration
 
@@ -40,6 +41,8 @@ class PlannedRig:
         Section ``plan``; None for a virtual rig, whose depths of field are unlimited.
     exposure_time, settle_time
         Of a frame, and between its pattern and its exposure [s]; the exposure is NaN where it is not known.
+    motion_range
+        Motion across the finest fringes from frame to frame that steps in motion follow [fringes].
     """
 
     model: RigModel
@@ -50,6 +53,7 @@ class PlannedRig:
     components: PlanSection | None = None
     exposure_time: float = math.nan
     settle_time: float = 0.0
+    motion_range: tuple[float, float] = SequenceSettings().motion_range
 
     @classmethod
     def of(cls, rig: RigFile, name: str = "rig file") -> PlannedRig:
@@ -77,8 +81,17 @@ class PlannedRig:
             check_calibration(model, RigSetup(None, None, rig.patterns()))
         except (CalibrationError, PatternError) as error:
             raise RigSetupError(f"{name}: {error}") from error
-        exposed = rig.camera.exposure_time, rig.camera.settle_time
-        return cls(model, configuration, tuple(rig.patterns()), rig.nodes.dic, rig.nodes.coupling, rig.plan, *exposed)
+        return cls(
+            model,
+            configuration,
+            tuple(rig.patterns()),
+            rig.nodes.dic,
+            rig.nodes.coupling,
+            rig.plan,
+            rig.camera.exposure_time,
+            rig.camera.settle_time,
+            rig.sequence.motion_range,
+        )
 
     @property
     def layout(self) -> Layout:

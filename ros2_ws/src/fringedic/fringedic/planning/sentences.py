@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 from fringedic.planning.motion_limit import MotionLimit, motion_limit
 from fringedic.planning.plan import NoiseSource, Plan
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, fringe_period, projector_pixel
 from fringedic.planning.planned_patch import QUANTITIES
+from fringedic.planning.planned_rig import PlannedRig
+from fringedic.settings.experiment import MOVING_ONE_WAY
 from fringedic.wording.numbers import number_text
 
 NOTE = (
@@ -98,7 +102,7 @@ def change_rows(plan: Plan) -> list[tuple[str, list[str]]]:
 
 
 def recommendation_sentences(plan: Plan) -> list[str]:
-    """Return the recommended direction of the fringes and angle, with their effect on z."""
+    """Return the recommended direction of the fringes and angle, with their effect on z, and what allows more speed."""
     best, planned = plan.recommended_orientation, plan.planned.orientation
     words = f"{best.name.lower()} fringes"
     if best != planned:
@@ -109,7 +113,30 @@ def recommendation_sentences(plan: Plan) -> list[str]:
         words += ", as planned: the projector stands across them"
     noise = dict(plan.angles)[plan.recommended_angle]
     angle = f"an angle of {math.degrees(plan.recommended_angle):.0f} degree: the noise of z becomes {noise:.2f} times"
-    return [f"{words}.", f"{angle}; the planned angle is {math.degrees(plan.angle):.0f} degree."]
+    sentences = [f"{words}.", f"{angle}; the planned angle is {math.degrees(plan.angle):.0f} degree."]
+    return sentences + ([_faster_sentence(plan.planned)] if plan.planned.layout.code == 0 else [])
+
+
+def _faster_sentence(planned: PlannedRig) -> str:
+    """Return what makes the fastest motion without a hold faster, each change alone."""
+    limit = motion_limit(planned)
+
+    def times(**changes: Any) -> float:
+        other = motion_limit(replace(planned, **changes))
+        return other.speed / limit.speed if math.isfinite(limit.speed) else other.per_frame / limit.per_frame
+
+    finest = planned.layout.pitches[-1]
+    ways = [f"a finest pitch of {2 * finest:g} projector px: x 2, with twice the noise of z"]
+    if math.isfinite(limit.speed):
+        shorter = 0.5 * planned.exposure_time
+        ways.append(f"an exposure of {1e3 * shorter:.3g} ms: x {times(exposure_time=shorter):.2f}")
+    one_way = (0.0, MOVING_ONE_WAY)
+    if max(abs(each) for each in planned.motion_range) < MOVING_ONE_WAY:
+        ways.append(
+            f"sequence.motion_fringes [0, {MOVING_ONE_WAY}] or [-{MOVING_ONE_WAY}, 0] where the direction is known: "
+            f"x {times(motion_range=one_way):.2f}"
+        )
+    return f"for a faster motion across the fringes without a hold: {'; '.join(ways)}."
 
 
 def plan_warning_sentence(warning: PlanWarning) -> str:

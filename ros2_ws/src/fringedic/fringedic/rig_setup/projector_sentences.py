@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fringedic.configuration.forecast import FRAME_TIME
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import HarmonicError
 from fringedic.rig_setup.response import Correction, assess_correction, is_uneven
 from fringedic.rig_setup.timing import ProjectorTiming
-from fringedic.settings.experiment import MOVING_DRIFT
+from fringedic.settings.experiment import MOVING_ONE_WAY, SequenceSettings
 
 _SLOW = 1e-4  # [s], time constant from which on the rise and fall of the light are worth a sentence
 
 
-def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time: float) -> list[str]:
+def timing_sentences(
+    timing: ProjectorTiming, exposure_time: float, settle_time: float, sequence: SequenceSettings | None = None
+) -> list[str]:
     """Return what was measured, and what it means for a rig.
 
     Parameters
@@ -23,6 +27,8 @@ def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time:
         The measurement.
     exposure_time, settle_time
         Of the rig's frames [s].
+    sequence
+        Its patterns; None for those that follow a motion in either direction.
     """
     if math.isnan(timing.delay):
         sentence = (
@@ -59,11 +65,19 @@ def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time:
     else:
         settling = f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."
     rate = 1 / (FRAME_TIME + exposure_time + max(settle_time, timing.settled()))
-    part = MOVING_DRIFT / (2 * math.pi)
+    sequence = sequence or SequenceSettings()
+    part = max(abs(each) for each in sequence.motion_range)
+    left = float(np.sinc(part * rate * exposure_time))
     motion = (
         f"With these times about {rate:.0f} frames per second are taken: a test without holds follows a surface that "
-        f"moves by up to {part:.2f} fringes from frame to frame, {part * rate:.1f} fringes per second."
+        f"moves by up to {part:.2f} fringes from frame to frame, {part * rate:.1f} fringes per second (condition "
+        f"{sequence.moving_plan().condition:.1f}; motion blur leaves {100 * left:.0f} % of the modulation)."
     )
+    if part < MOVING_ONE_WAY:
+        motion += (
+            f" Where the direction is known, sequence.motion_fringes [0, {MOVING_ONE_WAY}] or [-{MOVING_ONE_WAY}, 0] "
+            f"allows {MOVING_ONE_WAY * rate:.1f} fringes per second."
+        )
     return [sentence, light, settling, motion]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
@@ -21,6 +22,8 @@ MOVING_FRAMES = 8
 """Frames of the finest pitch of a stack in motion: two cycles of four shifts."""
 MOVING_DRIFT = 0.6
 """Phase by which a surface may move from frame to frame without bad condition, in either direction [rad]."""
+MOVING_ONE_WAY = 0.28
+"""Fringes by which it may move from frame to frame in one direction, when this is known."""
 FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
 
 
@@ -57,9 +60,25 @@ class SequenceSettings(Settings):
         description="Exposure times of every pattern [ms], for surfaces with glare and dark parts; empty: the one of "
         "the camera.",
     )
+    motion_fringes: list[float] = Field(
+        [],
+        max_length=2,
+        description="Range of the motion across the finest fringes from frame to frame that a step in motion follows, "
+        "such as [0, 0.25]: positive where the phase grows, towards +x (vertical fringes) or +y. Empty: a tenth of a "
+        "fringe in either direction.",
+    )
 
     @model_validator(mode="after")
     def _lists_are_possible(self) -> Self:
+        if self.motion_fringes and not (
+            len(self.motion_fringes) == 2
+            and -1 <= self.motion_fringes[0] <= 0 <= self.motion_fringes[1] <= 1
+            and self.motion_fringes[0] < self.motion_fringes[1]
+        ):
+            raise ValueError(
+                f"motion_fringes is a range that contains 0, such as [0, {MOVING_ONE_WAY}], because a part of the "
+                "specimen may stand still"
+            )
         if any(fine >= coarse for coarse, fine in pairwise(self.pitches_px)):
             raise ValueError("pitches_px must become smaller from one to the next")
         if len(set(self.exposures_ms)) < len(self.exposures_ms):
@@ -70,6 +89,18 @@ class SequenceSettings(Settings):
     def exposure_times(self) -> list[float]:
         """Exposure times of every pattern [s]; empty: the camera's own."""
         return [time * MILLI for time in self.exposures_ms]
+
+    @property
+    def motion_range(self) -> tuple[float, float]:
+        """Motion across the finest fringes from frame to frame that a step in motion follows [fringes]."""
+        either = MOVING_DRIFT / (2 * math.pi)
+        low, high = self.motion_fringes or (-either, either)
+        return low, high
+
+    def moving_plan(self) -> phase.ShiftPlan:
+        """Return the shifts of the finest pitch of a MOVING step, chosen for the range of its motion."""
+        low, high = (2 * math.pi * each for each in self.motion_range)
+        return phase.plan_shifts((low + high) / 2, MOVING_FRAMES, uncertainty=(high - low) / 2)
 
     def pitches(self, width: int) -> list[float]:
         """Return the fringe pitches for a projector of `width` columns, coarse to fine [projector pixel]."""
@@ -117,7 +148,15 @@ class SequenceSettings(Settings):
             )
         pitches = self.pitches(width)
         shifts = (self.shifts * len(pitches) if len(self.shifts) == 1 else self.shifts)[: len(pitches) - 1]
-        plan = phase.plan_shifts(0.0, MOVING_FRAMES, uncertainty=MOVING_DRIFT)
+        plan = self.moving_plan()
+        if plan.follows:
+            low, high = self.motion_range
+            raise PatternError(
+                f"no shifts follow a motion of {low:g} to {high:g} fringes from frame to frame; set "
+                f"sequence.motion_fringes to [0, {MOVING_ONE_WAY}] or [-{MOVING_ONE_WAY}, 0] at most, and reduce the "
+                "speed, or use a coarser finest pitch",
+                code=ErrorCode.INVALID_SEQUENCE,
+            )
         sequence = moving_sequence(
             width, height, pitches, shifts, self.orientation, order=plan.order, parts=plan.shifts
         )

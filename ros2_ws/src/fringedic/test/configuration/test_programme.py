@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from pydantic import ValidationError
 
 from fringedic.configuration.conditions import MetCondition, Reading, Until
 from fringedic.configuration.forecast import forecast
@@ -247,3 +248,45 @@ def test_a_sequence_that_cannot_follow_a_motion_is_refused_before_the_test() -> 
     with pytest.raises(ConfigurationError, match="add a projector"):
         check_programme(RigFile.model_validate({**TINY, "projector": None}), pull)
     check_programme(RigFile.model_validate(TINY), pull)
+
+
+CALIBRATED: dict[str, Any] = {
+    **TINY,
+    "calibration": "virtual_rig",
+    "virtual_rig": {"preset": "plate", "size": "tiny", "load_frame": {"maximum_speed_mm_per_s": 50.0}},
+}
+ACROSS = {"pitches_px": [75.0, 20.0, 5.0], "orientation": "horizontal"}
+
+
+def test_a_speed_that_the_stacks_cannot_follow_is_refused_before_the_test() -> None:
+    def check(speed: float, **sequence: Any) -> None:
+        text = f"{{continuous: {{to_mm: 0.6, speed_mm_per_s: {speed}}}}}"
+        check_programme(RigFile.model_validate({**CALIBRATED, "sequence": sequence}), programme(text))
+
+    check(18.0)
+    with pytest.raises(
+        ConfigurationError, match=r"5\.18 px from frame to frame, 60 % of the image during a stack; reduce"
+    ):
+        check(25.0)
+    check(5.0, **ACROSS)
+    with pytest.raises(
+        ConfigurationError,
+        match=r"2\.07 px, 0\.17 fringes, from frame to frame, and the shifts follow 0\.10; reduce speed_mm_per_s to "
+        r"5\.5, set sequence\.motion_fringes to \[0, 0\.28\]",
+    ):
+        check(10.0, **ACROSS)
+    check(10.0, **ACROSS, motion_fringes=[-0.28, 0])
+    with pytest.raises(ConfigurationError, match=r"no shifts follow a motion of -0\.3 to 0\.3 fringes"):
+        check(1.0, motion_fringes=[-0.3, 0.3])
+
+
+def test_the_shifts_of_a_stack_run_against_the_motion() -> None:
+    def shifts(*motion: float) -> list[tuple[int, int]]:
+        rig = RigFile.model_validate({**TINY, "sequence": {"motion_fringes": list(motion)}})
+        return [(each.shift, each.shifts) for each in rig.moving_patterns()[-9:-1]]
+
+    assert shifts()[:4] == [(3, 4), (2, 4), (1, 4), (4, 4)]
+    assert shifts(0, 0.28)[:3] == [(7, 8), (6, 8), (5, 8)]
+    assert shifts(-0.28, 0)[:3] == [(1, 8), (2, 8), (3, 8)]
+    with pytest.raises(ValidationError, match="a range that contains 0"):
+        shifts(0.1, 0.2)

@@ -106,5 +106,5 @@ def measure_rig_timing(
         f"camera:\n  exposure_ms: {1e3 * timing.whole_exposure(rig.camera.exposure_time):.6g}\n"
         f"  settle_ms: {1e3 * timing.settle_time():.4g}"
     )
-    sentences = timing_sentences(timing, rig.camera.exposure_time, rig.camera.settle_time)
+    sentences = timing_sentences(timing, rig.camera.exposure_time, rig.camera.settle_time, rig.sequence)
     return TimingReport(timing, sentences, settings)
