@@ -734,7 +734,14 @@ class RigClient:
         WaitTimeoutError
             The service does not answer.
         """
-        return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
+        response = client.call_async(request)
+
+        def silent() -> str:
+            lost = "stands still or has lost the request, and gave no answer"
+            return f"start the command again: the node of {client.srv_name} {lost}"
+
+        self.wait_for(response.done, START_TIMEOUT_S, silent)
+        return response.result()
 
     def call_again(self, client: Client, request: Any, timeout_s: float) -> Any:
         """Call a service whose effect is the same every time, again and again until it responds.

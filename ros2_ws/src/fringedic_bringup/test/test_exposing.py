@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import Image
 
+from fringedic.errors import WaitTimeoutError
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import WHITE
 from fringedic_bringup.launch.environment import private_domain
@@ -66,7 +67,7 @@ class Rig(Node):
 
 
 @pytest.fixture
-def domain() -> Iterator[int]:
+def rig() -> Iterator[Rig]:
     with private_domain() as domain:
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=domain)
@@ -74,16 +75,20 @@ def domain() -> Iterator[int]:
         executor.add_node(node)
         thread = threading.Thread(target=executor.spin)
         thread.start()
-        yield domain
+        yield node
         executor.create_task(executor.shutdown)  # in its own thread, as `Spinning` does
         thread.join()
         node.destroy_node()
         rclpy.try_shutdown(context=context)
 
 
-def test_lost_first_responses_cost_no_frame(domain: int) -> None:
-    with ExposingClient(domain=domain) as client:
+def test_lost_first_responses_cost_no_frame(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    with ExposingClient(domain=rig.context.get_domain_id()) as client:
         assert client.show(WHITE) > 0
         image, record = client.expose()
+        rig.silent.add("camera/capture")  # a camera that stands still, or has lost a later request
+        monkeypatch.setattr("fringedic_bringup.client.START_TIMEOUT_S", 0.2)
+        with pytest.raises(WaitTimeoutError, match="start the command again: the node of camera/capture"):
+            client.expose()
     np.testing.assert_array_equal(image, PIXELS)
     assert record.experiment == "single frames"

@@ -104,7 +104,7 @@ def dataset_path(
     Raises
     ------
     DatasetError
-        It exists and is not to be overwritten, or its suffix is that of no format.
+        It exists and is not to be overwritten, its suffix is that of no format, or `output` is in a missing folder.
     """
     source = Path(path) if Path(path).name else Path(path).absolute()
     if not source.name:
@@ -114,6 +114,8 @@ def dataset_path(
     check_suffix(target)
     if target.exists() and not overwrite:
         raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
+    if output is not None and not target.absolute().parent.is_dir():
+        raise DatasetError(f"{target}: the folder {target.parent} does not exist; make it, or choose another output")
     return target
 
 

@@ -694,6 +694,8 @@ def test_overrides_change_the_results_and_wrong_ones_are_named(bench, processed,
         process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.windw": 40})
     with pytest.raises(ConfigurationError, match=r"dic\.window = 4: Input should be greater than or equal to 8"):
         process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.window": 4})
+    with pytest.raises(DatasetError, match=r"the folder .*absent does not exist; make it, or choose another output"):
+        process_bag(bench.bag, output=tmp_path / "absent" / "x.nc")
     assert list(tmp_path.glob("*x.nc*")) == []
 
 
