@@ -16,8 +16,10 @@ QUANTITIES = ("u", "v", "w", "e_11", "e_22", "e_12")
 def rates(experiment: xr.Dataset) -> xr.Dataset:
     """Return the rates of displacement and strain between neighbouring steps, with their standard deviations.
 
-    The noise of the reference is the same in both steps and cancels. It is taken as half of the variance of each, which
-    is so where the reference is as noisy as the steps.
+    The noise of the reference is the same in both steps and cancels. That of its height is known (``noise_z``) and is
+    subtracted from the variance of w: a reference at rest has fewer frames of the finest pitch than a step in motion.
+    Of the other quantities it is taken as half of the variance, which is so where the reference is as noisy as the
+    steps.
 
     Parameters
     ----------
@@ -63,12 +65,20 @@ def rates(experiment: xr.Dataset) -> xr.Dataset:
     for name in present:
         unit = experiment[name].attrs.get("units", "")
         rate = (later[name] - earlier[name]) / interval
-        variances = (experiment[f"sigma_{name}"].isel(step=part) ** 2 for part in (slice(1, None), slice(None, -1)))
-        half = sum(each.drop_vars("step") for each in variances) / 2
+        own = _own_variance(experiment, name)
+        variance = sum(own.isel(step=part).drop_vars("step") for part in (slice(1, None), slice(None, -1)))
         rate.attrs = {"units": "1/s" if unit in ("", "1") else f"{unit}/s", "long_name": f"rate of {name}"}
         found[f"{name}_rate"] = rate
-        found[f"sigma_{name}_rate"] = (half**0.5 / interval).assign_attrs(rate.attrs)
+        found[f"sigma_{name}_rate"] = (variance**0.5 / interval).assign_attrs(rate.attrs)
     middle = times[:-1] + np.diff(times) // 2
     return xr.Dataset(found).assign_coords(
         step=experiment["step"].values[1:], time=("step", middle.astype("datetime64[ns]"))
     )
+
+
+def _own_variance(experiment: xr.Dataset, name: str) -> xr.DataArray:
+    """Return the variance of a quantity in each step without that of the reference."""
+    variance: xr.DataArray = experiment[f"sigma_{name}"] ** 2
+    if name == "w" and "noise_z" in experiment:
+        return (variance - experiment["noise_z"] ** 2).clip(min=0)
+    return variance / 2

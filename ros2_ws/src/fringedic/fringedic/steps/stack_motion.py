@@ -151,11 +151,23 @@ def _finest(patterns: Sequence[ProjectedPattern]) -> list[int]:
 
 def _affine(values: np.ndarray) -> np.ndarray:
     """Return the affine field through the measured values (2, row, column) by least squares."""
-    rows, columns = np.indices(values.shape[1:])
-    design = np.stack([np.ones(rows.shape), columns / columns.max() - 0.5, rows / rows.max() - 0.5])
+    rows, columns = values.shape[1:]
+    down, right = np.linspace(-0.5, 0.5, rows), np.linspace(-0.5, 0.5, columns)
     known = np.isfinite(values).all(axis=0)
-    coefficients = np.linalg.lstsq(design[:, known].T, values[:, known].T, rcond=None)[0]
-    return np.tensordot(coefficients.T, design, 1)
+    weight, measured = known.astype(float), np.where(known, values, 0).astype(float)
+
+    def moments(each: np.ndarray) -> np.ndarray:
+        """Return the sums of values times 1, x and y: those over rows and columns alone are enough."""
+        by_column = each.sum(axis=0)
+        return np.array([by_column.sum(), by_column @ right, each.sum(axis=1) @ down])
+
+    count, x, y = moments(weight)
+    by_column, by_row = weight.sum(axis=0), weight.sum(axis=1)
+    xx, yy, xy = by_column @ right**2, by_row @ down**2, down @ weight @ right
+    normal = np.array([[count, x, y], [x, xx, xy], [y, xy, yy]])
+    coefficients = np.linalg.lstsq(normal, np.stack([moments(each) for each in measured], axis=1), rcond=None)[0]
+    constant, along, across = coefficients[..., None, None]
+    return np.asarray(constant + along * right + across * down[:, None])
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
