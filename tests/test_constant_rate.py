@@ -113,4 +113,5 @@ def test_the_report_states_the_motion(pulled: RecordedExperiment) -> None:
     page = (pulled.report.folder / "report.html").read_text("utf-8")
     assert "steps measured in motion" in page
     assert "points lost to motion" in page
+    assert "strain rate (e_22)" in page
     assert "0.006 mm/s" in page

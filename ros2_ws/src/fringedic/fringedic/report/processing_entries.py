@@ -7,8 +7,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from fringedic.datasets.quantities import strain_measure_of
+from fringedic.evaluation.elasticity import strain_curve
 from fringedic.evaluation.named import EvaluationSettings
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
@@ -175,6 +177,8 @@ def _motion_entries(data: ReportData) -> list[Entry]:
                 "between neighbouring stacks",
             )
         )
+    if moving.sum() > 1 and "sigma_e_22" in dataset:
+        entries.append(_strain_rate_entry(dataset.isel(step=moving)))
     part, known = dataset["valid_fraction"].values, np.isfinite(dataset["valid_fraction"].values)
     if (known & moving).any() and (known & ~moving).any():
         in_motion, at_rest = (100 * float(np.median(part[known & which])) for which in (moving, ~moving))
@@ -186,6 +190,23 @@ def _motion_entries(data: ReportData) -> list[Entry]:
             )
         )
     return entries
+
+
+def _strain_rate_entry(moving: xr.Dataset) -> Entry:
+    """Return the rate of the mean strain along the load between neighbouring stacks in motion."""
+    curve = strain_curve(moving)
+    seconds = np.diff(moving["time"].values.astype("datetime64[ns]")) / np.timedelta64(1, "s")
+    rates = {name: 100 * np.diff(curve[name].values) / seconds for name in ("e_11", "e_22")}
+    axial = max(rates, key=lambda name: float(np.nanmedian(np.abs(rates[name]))))
+    variance = curve[f"sigma_{axial}"].values ** 2 / 2  # that of the reference, the other half, cancels
+    sigma = float(np.nanmedian(100 * np.sqrt(variance[1:] + variance[:-1]) / seconds))
+    low, middle, high = (number_text(float(each), 3) for each in np.nanquantile(rates[axial], [0, 0.5, 1]))
+    return Entry(
+        f"strain rate ({axial})",
+        f"{middle} %/s",
+        f"mean of all points; {low} to {high} %/s between neighbouring stacks, standard uncertainty "
+        f"{number_text(sigma, 2)} %/s",
+    )
 
 
 def base_and_angle(rig: dict[str, Any]) -> tuple[float, float]:
