@@ -55,20 +55,19 @@ def command_lines() -> Iterator[tuple[int, list[str]]]:
 
 
 def descendant_pid(ancestor: int, executable: str) -> int:
-    """Return the process of an executable that another process, or one that it has started, has started."""
-    found = []
-    parents: dict[int, int] = {}
+    """Return the process of an executable that another process has started, by itself or by its node server."""
     for pid, words in command_lines():
-        with suppress(OSError):  # it has ended
-            parents[pid] = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
-            if any(Path(word).name == executable for word in words):
-                found.append(pid)
-    for pid in found:
-        process = pid
-        while process := parents.get(process, 0):
-            if process == ancestor:
-                return pid
+        if any(Path(word).name == executable for word in words) and ancestor in _ancestors(pid):
+            return pid
     raise ProcessLookupError(f"process {ancestor} has not started {executable}")
+
+
+def _ancestors(pid: int) -> Iterator[int]:
+    """Yield the process that has started another one, the one that has started that, and so on."""
+    with suppress(OSError):  # one has ended
+        while pid:
+            pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+            yield pid
 
 
 def node_pids(folder: Path) -> dict[str, int]:

@@ -82,9 +82,26 @@ def create_store(target: Path) -> Store:
     """
     check_suffix(target)
     try:
-        return NetcdfStore(target) if target.suffix == ".nc" else ZarrStore(target)
+        with _named_errors(target):
+            return NetcdfStore(target) if target.suffix == ".nc" else ZarrStore(target)
+    except DatasetError:
+        _remove_temporary(target)
+        raise
+
+
+def _cannot_be_written(target: Path, error: OSError) -> DatasetError:
+    code = ErrorCode.DISK_FULL if error.errno == errno.ENOSPC else None
+    words = f"{target}: cannot be written: {cause_of(error)}; make room, or choose another output"
+    return DatasetError(words, code=code)
+
+
+@contextmanager
+def _named_errors(target: Path) -> Iterator[None]:
+    """Raise errors of the operating system, which do not always name a file, as DatasetError."""
+    try:
+        yield
     except OSError as error:
-        raise DatasetError(f"{target}: cannot be written: {cause_of(error)}; choose another output") from error
+        raise _cannot_be_written(target, error) from error
 
 
 def check_suffix(target: Path) -> None:
@@ -163,20 +180,22 @@ def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mappin
     Raises
     ------
     DatasetError
-        The disk has no room for it, with the code DISK_FULL.
-    OSError
-        The file cannot be written.
+        The file cannot be written; the disk is full, with the code DISK_FULL.
     """
     require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
-    temporary = _temporary(target)
     summed = SummedDataset(_of_a_file(dataset), encoding or {})
+    with _named_errors(target):
+        output = _Output(_temporary(target), "w+")
     try:
-        summed.content.to_netcdf(temporary, engine="h5netcdf")
-        with h5py.File(temporary, "r+") as file:
+        summed.content.to_netcdf(output, engine="h5netcdf")
+        output.require_written(target)
+        with h5py.File(output, "r+") as file:
             file.attrs[CONTENT] = summed.text
-        temporary.replace(target)
+        output.require_written(target)
+        _temporary(target).replace(target)
     finally:
-        temporary.unlink(missing_ok=True)
+        output.close()
+        _remove_temporary(target)
 
 
 def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[str, Any]] | None = None) -> None:
@@ -191,8 +210,8 @@ def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[
     ------
     FringedicError
         The package ``zarr`` is not installed.
-    OSError
-        The folder cannot be written.
+    DatasetError
+        The folder cannot be written; the disk is full, with the code DISK_FULL.
     """
     with optional_import("zarr"):
         import zarr
@@ -201,13 +220,13 @@ def save_zarr(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[
     texts = {name: each.astype(object) for name, each in plain.variables.items() if each.dtype.kind == "U"}
     summed = SummedDataset(plain.assign(texts), encoding or {})
     checked = {name: {**each.encoding, "compressors": _codecs()} for name, each in summed.content.variables.items()}
-    with _text_and_consolidation():
+    with _named_errors(target), _text_and_consolidation():
         summed.content.to_zarr(
             target, mode="w", zarr_format=3, consolidated=False, encoding=checked, write_empty_chunks=True
         )
         group = zarr.open_group(target, mode="r+", zarr_format=3)
         group.attrs[CONTENT] = summed.text
-    consolidate(group.store)
+        consolidate(group.store)
 
 
 def _of_a_file(dataset: xr.Dataset) -> xr.Dataset:
@@ -272,6 +291,14 @@ def _temporary(target: Path) -> Path:
     return target.with_name(f".{target.name}.writing")
 
 
+def _remove_temporary(target: Path) -> None:
+    if _temporary(target).is_dir():
+        shutil.rmtree(_temporary(target), ignore_errors=True)
+        return
+    with suppress(OSError):  # the disk became read-only: the first error is reported
+        _temporary(target).unlink(missing_ok=True)
+
+
 class _Output(io.FileIO):
     """A file that keeps the first error of writing: HDF5 would end the process (SIGSEGV) when it closes the file."""
 
@@ -299,9 +326,7 @@ class _Output(io.FileIO):
     def require_written(self, target: Path) -> None:
         """Raise DatasetError if the disk has refused a part."""
         if self.error is not None:
-            code = ErrorCode.DISK_FULL if self.error.errno == errno.ENOSPC else None
-            words = f"{target}: cannot be written: {cause_of(self.error)}; make room, or choose another output"
-            raise DatasetError(words, code=code) from self.error
+            raise _cannot_be_written(target, self.error) from self.error
 
 
 class NetcdfStore:
@@ -364,8 +389,7 @@ class NetcdfStore:
         """Close and remove what was written."""
         self._file.close()
         self._output.close()
-        with suppress(OSError):  # the disk became read-only: the first error is reported
-            _temporary(self._target).unlink(missing_ok=True)
+        _remove_temporary(self._target)
 
 
 def _end_growth(content: h5py.File, dimension: str) -> None:
@@ -416,33 +440,37 @@ class ZarrStore:
         shape = tuple(sizes[dimension] for dimension in variable.dimensions)
         # one map per chunk; values per step share a chunk
         chunks = (1, *shape[1:]) if variable.dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
-        array = create_array(self._group, variable, shape, chunks)
+        with _named_errors(self._target):
+            array = create_array(self._group, variable, shape, chunks)
         if variable.dimensions[0] == "step":
             self._growing.append(array)
 
     def grow(self, steps: int) -> None:
         """Make room for as many steps."""
-        for array in self._growing:
-            array.resize((steps, *array.shape[1:]))
+        with _named_errors(self._target):
+            for array in self._growing:
+                array.resize((steps, *array.shape[1:]))
 
     def put(self, name: str, index: int | slice, value: Any) -> None:
         """Write one step of a variable, or a whole coordinate."""
-        array: Any = self._group[name]
-        array[index] = value
+        with _named_errors(self._target):
+            array: Any = self._group[name]
+            array[index] = value
 
     def flush(self) -> None:
         """Every chunk is a file that is closed already."""
 
     def finish(self, attributes: Mapping[str, str]) -> None:
         """Write the attributes, close, and give the dataset its name."""
-        self._group.attrs.update(dict(attributes))
-        consolidate(self._group.store)
-        old = self._target.with_name(f".{self._target.name}.old")
-        if self._target.exists():
-            self._target.replace(old)
-        _temporary(self._target).replace(self._target)
-        shutil.rmtree(old, ignore_errors=True)
+        with _named_errors(self._target):
+            self._group.attrs.update(dict(attributes))
+            consolidate(self._group.store)
+            old = self._target.with_name(f".{self._target.name}.old")
+            if self._target.exists():
+                self._target.replace(old)
+            _temporary(self._target).replace(self._target)
+            shutil.rmtree(old, ignore_errors=True)
 
     def discard(self) -> None:
         """Close and remove what was written."""
-        shutil.rmtree(_temporary(self._target), ignore_errors=True)
+        _remove_temporary(self._target)

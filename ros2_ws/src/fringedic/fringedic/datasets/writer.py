@@ -59,6 +59,14 @@ class DatasetWriter:
 
     def __enter__(self) -> DatasetWriter:
         self._store = ChecksummedStore(create_store(self._target) if isinstance(self._target, Path) else self._target)
+        try:
+            self._make_variables()
+        except BaseException:  # without a `with` block nobody discards it
+            self._store.discard()
+            raise
+        return self
+
+    def _make_variables(self) -> None:
         self._variable("step", ("step",), "i8", "1", "load step")
         if self._layout.timed:
             self._variable(
@@ -70,11 +78,14 @@ class DatasetWriter:
             self._variable(name, ("step",), TEXT, "", meaning)
         for name, quantity in self._layout.scalars.items():
             self._variable(name, ("step",), "f8", *quantity)
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if kind is None and self._grid is not None:
-            self._store.finish(self.attributes)
+            try:
+                self._store.finish(self.attributes)
+            except BaseException:
+                self._store.discard()
+                raise
             return
         self._store.discard()
         if kind is None:

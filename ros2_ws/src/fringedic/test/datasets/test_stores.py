@@ -10,9 +10,14 @@ import xarray as xr
 
 from fringedic.datasets.checksums import CONTENT, has_checksums, load_checked, open_checked
 from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.rows import Row
 from fringedic.datasets.stores import NetcdfStore, Variable, save_netcdf, save_zarr
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError, ErrorCode
+from fringedic.steps.parameters import DicParameters
+from fringedic.steps.recorded_parameters import StepSettings
 
+UNWRITABLE = r"a\.(nc|zarr): cannot be written: .*; make room, or choose another output"
 DATASET = xr.Dataset({"phase": (("row", "column"), np.ones((3, 4)))})
 
 
@@ -91,16 +96,48 @@ def write_numbers(store):
     store.finish({})
 
 
-@pytest.mark.parametrize("limit", [2_000, 60_000, 300_000])
-def test_disk_that_refuses_bytes_in_the_middle_of_a_file(tmp_path, limit):
-    """HDF5 would end the process when it closes the file; a limit of the process stands for a full disk."""
-    store = NetcdfStore(tmp_path / "a.nc")
+@pytest.fixture
+def limited():
+    """Return a function that limits the size of every file that this process writes, which stands for a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-    try:
-        with pytest.raises(DatasetError, match=r"a\.nc: cannot be written: .*; make room, or choose another output"):
-            write_numbers(store)
-    finally:
-        store.discard()
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("limit", [2_000, 60_000, 300_000])
+def test_disk_that_refuses_bytes_in_the_middle_of_a_file(tmp_path, limit, limited):
+    """HDF5 would end the process when it closes the file."""
+    store = NetcdfStore(tmp_path / "a.nc")
+    limited(limit)
+    with pytest.raises(DatasetError, match=UNWRITABLE):
+        write_numbers(store)
+    store.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "save"), [("a.nc", save_netcdf), ("a.zarr", save_zarr)])
+def test_disk_that_refuses_bytes_of_a_whole_dataset(tmp_path, name, save, limited):
+    limited(20_000)
+    with pytest.raises(DatasetError, match=UNWRITABLE):
+        save(
+            xr.Dataset({"w": (MAP_DIMENSIONS, np.random.default_rng(1).standard_normal((1, 90, 90)))}), tmp_path / name
+        )
+    assert list(tmp_path.glob(".*")) == []
+
+
+@pytest.mark.parametrize("name", ["a.nc", "a.zarr"])
+@pytest.mark.parametrize("when", ["first", "last"])
+def test_nothing_is_left_of_a_dataset_whose_first_or_last_bytes_are_refused(tmp_path, name, when, limited):
+    dataset = DatasetWriter(tmp_path / name, {})  # before the limit: git, which it calls, writes files
+
+    def write():
+        with dataset as writer:
+            settings = StepSettings({"dic": DicParameters()}, None, {}, None)
+            writer.add(Row(0, 0, maps={"displacement_x": np.zeros((8, 8), np.float32)}), settings)
+            limited(100)
+
+    if when == "first":
+        limited(100)
+    with pytest.raises(DatasetError, match=UNWRITABLE):
+        write()
     assert list(tmp_path.iterdir()) == []

@@ -152,7 +152,7 @@ def drive(
             record.publish(driver.number)
         except (FringedicError, OSError) as error:
             not_held = driver.end()
-            ended_early = _reason(error)
+            ended_early = _reason(error, running.logs.parent)
             progress.note(f"the programme ends early: {ended_early}{not_held and f'; {not_held}'}")
             record.publish(driver.number, ended_early, _code_of(error))
         except KeyboardInterrupt:
@@ -164,9 +164,9 @@ def drive(
     return Driven(driver.reports, again, ended_early, interrupted)
 
 
-def _reason(error: FringedicError | OSError) -> str:
-    if isinstance(error, OSError) and error.filename:  # of a disk that is full or became read-only
-        return f"{error.filename}: {cause_of(error)}"
+def _reason(error: FringedicError | OSError, folder: Path) -> str:
+    if isinstance(error, OSError):  # of a disk that is full, or became read-only
+        return f"{error.filename or folder}: {cause_of(error)}"
     return str(error)
 
 
