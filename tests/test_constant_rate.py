@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from running_system import RecordedExperiment, record_experiment
 import fringedic
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.datasets.processing import dataset_from_derived, process_bag
-from fringedic.evaluation import open_truth, rates, truth_errors
+from fringedic.evaluation import elastic_constants, open_truth, rates, truth_errors
+from fringedic.frames.region import Region
 from fringedic.recording.every_frame import STEPS_PER_STACK
 from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
@@ -84,6 +86,23 @@ def test_frames_give_the_same_bits_as_the_nodes(pulled: RecordedExperiment, tmp_
         assert {"phase", "u", "e_22", "sigma_w", "force", "position"} <= {*shared}
         for name in [*shared, "time"]:
             np.testing.assert_array_equal(nodes[name], processed[name], err_msg=name)
+
+
+def test_the_modulus_is_that_of_a_stepwise_test_of_the_same_plate(
+    pulled: RecordedExperiment, recorded: RecordedExperiment, tmp_path: Path
+) -> None:
+    found = []
+    for run in (pulled, recorded):
+        dataset = process_bag(
+            run.report.folder / "bag", output=tmp_path / f"{len(found)}.nc", overrides={"specimen.section_mm2": 40.0}
+        )
+        with fringedic.open_experiment(dataset) as steps:
+            during = steps.isel(step=(steps.position < 0.95 * END).values) if run is pulled else steps
+            found.append(elastic_constants(during, Region.rectangle((60, 40), (100, 80))))
+    moving, resting = found
+    sigma = math.hypot(moving.sigma_modulus, resting.sigma_modulus)
+    assert 0 < sigma < 0.1 * resting.modulus
+    assert abs(moving.modulus - resting.modulus) < 3 * sigma
 
 
 def test_a_window_that_slides_by_a_frame_is_as_good_as_a_stack(
