@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from browser import opened
+from browser import NARROW, WIDE, opened
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, wait_until
 from served import TOKEN, Site, SmallRig, served, write_test
@@ -25,8 +25,14 @@ from served import TOKEN, Site, SmallRig, served, write_test
 from fringedic.configuration.programme_check import parse_programme
 from fringedic.configuration.test_series import Series
 from fringedic.errors import OperatorError
+from fringedic.patterns.pattern import PatternKind
+from fringedic.report.page_server.languages import ENGLISH, catalogues
+from fringedic.report.page_server.maps import described
 from fringedic.report.page_server.marks import KeepMarks, Marks, load_marks
 from fringedic.report.page_server.recorded import RecordedRig
+from fringedic.rig_setup.check_list import CheckList
+from fringedic.rig_setup.live_figures import Figures
+from fringedic.rig_setup.live_sentences import TITLES, live_entries, next_sentence
 from operator_node import rig_file
 from operator_node.rig_file import ShownRigFile
 
@@ -540,7 +546,7 @@ def test_an_earlier_test_is_found_opened_and_left(page: Page, rig: ShownRig) -> 
     view(page, "tests")
     expect(page.locator("img.small")).to_have_count(2)
     assert page.locator("img.small").first.evaluate("each => each.decode().then(() => each.naturalWidth)") == 20
-    expect(page.locator("#rigs")).to_contain_text("tiny.yaml, 2 tests")
+    expect(page.locator("#rigs")).to_contain_text("tiny.yaml, tests: 2")
     page.fill("#search", "weber 28")
     expect(page.locator("a.open")).to_have_text(["plate-8"])
     page.click("a.open")
@@ -566,7 +572,7 @@ def test_two_tests_are_compared(page: Page, rig: ShownRig) -> None:
     page.fill("#search", "")
     for name in ("plate-7", "plate-8"):
         page.click(f"tr[data-key={name}] >> text=Compare")
-    expect(page.locator("#compare-tests")).to_have_text("Compare (2 chosen)")
+    expect(page.locator("#compare-tests")).to_have_text("Compare (chosen: 2)")
     page.click("#compare-tests")
     expect(page.locator("polyline.curve")).to_have_count(2)
     expect(page.locator("#entries tr", has_text="width [mm]")).to_have_text("width [mm]2728")
@@ -942,3 +948,108 @@ def picture(stamp: float = 1.0) -> bytes:
     """Return a grey image of the camera, as the operator node does."""
     jpeg = cv2.imencode(".jpg", np.full((120, 160), 128, np.uint8))[1].tobytes()
     return struct.pack("<IId", 160, 120, stamp) + jpeg
+
+
+# languages
+
+TEXTS = """() => {
+  const texts = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) texts.push([walker.currentNode.parentElement, walker.currentNode.data]);
+  for (const name of ["title", "placeholder", "aria-label", "alt"])
+    for (const element of document.querySelectorAll(`[${name}]`)) texts.push([element, element.getAttribute(name)]);
+  const apart = "[lang=en], script, noscript, #language";
+  return texts.filter(([element]) => !element.closest(apart)).map(([, text]) => text);
+}"""
+CUT = """() => [...document.querySelectorAll("button, h1, h2, h3, legend")]
+  .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.textContent)"""
+TRANSLATED_VIEWS = ("tests", "setup", "live", "run", "maps", "curves", "space", "evaluate", "compare", "log")
+SHORTEST = 3  # letters of the sentences that are looked for
+
+
+def full_state(rig: ShownRig) -> None:
+    """Show a state in which most sentences of the page appear."""
+    rig.show_tests()
+    items = [
+        ITEM | {"item": each.item.value, "state": 0, "title": TITLES[each.item], "next": next_sentence(each)}
+        for each in CheckList().items()
+    ]
+    black = Figures((0, 0, 9, 9), 0.5, 120.0, 0.1, 0.0, np.ones(256, int), 9.5, 12.5, 1.25, 255.0)
+    entries = [[each.name, each.value, each.advice, each.good] for each in live_entries(black, PatternKind.FRINGES)]
+    force = {"name": "force", "value": 450.5, "factor": 1, "unit": "N", "source": "load_frame"}
+    recorder = {
+        "state": "recording",
+        "images": 5,
+        "missing_images": 0,
+        "free_gb": 12.5,
+        "minutes_left": 600,
+        "error": "",
+    }
+    limit = {"signal": "force", "below": None, "above": 500.5, "reached": ""}
+    running = procedure("run", RUNNING, title="Programme", step=1, steps=5, activity="moving", frame=2, frames=12)
+    rig.show(
+        **map_state(0, 1) | {"quantities": [described(name) for name in ("u", "w")]},
+        setup=items,
+        figures={"focus": 0.5, "entries": entries, "histogram": [1, 2, 3]},
+        signals=[force],
+        alarms=[limit],
+        procedure=running | {"remaining_s": 4000},
+        load={"mode": "hold"},
+        recorder=recorder,
+        nodes=[{"name": "camera", "level": "silent", "message": "no diagnostics", "values": {"rate_hz": "9.5"}}],
+        rig={"load_frame": True},
+        rigs=rig.file.rigs(),
+        series={"specimens": ["plate 9"], "answers": {"width [mm]": 20.5}, "text": "", "problem": ""},
+    )
+
+
+def left_in_english(texts: list[str], language: str) -> list[str]:
+    """Return the texts that are a sentence of the catalogue, and no translation of another one."""
+
+    def pattern(sentence: str) -> re.Pattern[str]:
+        return re.compile(".+".join(map(re.escape, re.split(r"\{\w+\}", sentence))))
+
+    changed = {english: other for english, other in catalogues()[language].items() if english != other}
+    long = [each for each in changed if len(re.sub(r"\{\w*\}|\W", "", each)) >= SHORTEST]
+    english, others = [pattern(each) for each in long], [pattern(each) for each in catalogues()[language].values()]
+    shown = {text.strip() for text in texts}
+    found = {text for text in shown if any(each.fullmatch(text) for each in english)}
+    return sorted(text for text in found if not any(each.fullmatch(text) for each in others))
+
+
+@pytest.mark.parametrize("language", sorted(set(catalogues()) - {ENGLISH}))
+def test_the_page_in_another_language(browser: Browser, site: Site, rig: ShownRig, language: str) -> None:
+    """Every sentence is translated, numbers have a decimal comma, and the longer words fit narrow windows."""
+    full_state(rig)
+    running = rig.state["procedure"]
+    context = browser.new_context(viewport=WIDE, locale=language)
+    other, errors = context.new_page(), list[str]()
+    other.on("pageerror", lambda error: errors.append(str(error)))
+    other.goto(f"{site.origin}/?token={TOKEN}")
+    expect(other.locator("html")).to_have_attribute("lang", language)
+    for name in TRANSLATED_VIEWS:
+        other.goto(f"{site.origin}/#{name}")
+        expect(other.locator(f"#views a[data-key={name}][aria-current]")).to_be_visible()
+        if name == "setup":
+            other.click("#item-timing button[data-key=open]")
+        if name in ("maps", "space"):
+            expect(other.locator("main .bar span").first).not_to_be_empty()
+        for shown in (rig.state["procedure"], procedure()) if name == "run" else (rig.state["procedure"],):
+            rig.show(procedure=shown)
+            expect(other.locator("#activity")).to_have_count(1 if name == "run" and shown["state"] else 0)
+            other.click("#help")
+            for width in (700, NARROW["width"], WIDE["width"]):
+                other.set_viewport_size({"width": width, "height": 900})
+                assert other.evaluate("() => document.documentElement.scrollWidth") <= width, (name, width)
+                assert other.evaluate(CUT) == [], (name, width)
+            assert left_in_english(other.evaluate(TEXTS), language) == [], name
+            other.click("#help")
+        rig.show(procedure=running)
+    other.goto(f"{site.origin}/#run")
+    expect(other.locator("#facts")).to_contain_text("450,5 N")
+    other.select_option("#language", "en")
+    expect(other.locator("html")).to_have_attribute("lang", "en")
+    other.reload()
+    expect(other.locator("#hold")).to_have_text("Request hold")
+    expect(other.locator("#facts")).to_contain_text("450.5 N")
+    context.close()
+    assert errors == []

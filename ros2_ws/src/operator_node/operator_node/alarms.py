@@ -13,7 +13,7 @@ from fringedic.errors import OperatorError
 from fringedic.report.page_server.app import Alarm
 from fringedic.report.page_server.maps import described_signal
 from fringedic.signals import Sample
-from fringedic.wording.numbers import counted
+from fringedic.wording.translation import Sentence, translatable
 
 
 class Alarms:
@@ -34,12 +34,16 @@ class Alarms:
         """
         for alarm in alarms:
             if alarm.below is None and alarm.above is None:
-                raise OperatorError(f"{alarm.signal}: write a lower or an upper limit")
+                raise OperatorError(Sentence("{signal}: write a lower or an upper limit", signal=alarm.signal))
             if alarm.below is not None and alarm.above is not None and alarm.below >= alarm.above:
-                raise OperatorError(f"{alarm.signal}: the lower limit is not below the upper one")
+                raise OperatorError(
+                    Sentence("{signal}: the lower limit is not below the upper one", signal=alarm.signal)
+                )
         with self._lock:
             self._alarms, self._reached = list(alarms), {}
-        return f"{counted(len(alarms), 'limit')} in force" if alarms else "no limit requests a hold"
+        if not alarms:
+            return translatable("no limit requests a hold")
+        return Sentence("limits in force: {count}", count=len(alarms))
 
     def check(self, latest: Mapping[str, Sample], request: Callable[[str], str]) -> None:
         """Request a hold for each limit that the latest samples reach and that was not reached before.
@@ -60,15 +64,16 @@ class Alarms:
                 value = sample.value / unit["factor"]
                 limit = _limit(alarm, value)
                 if limit is not None:
-                    reason = f"{alarm.signal} {value:.4g} {unit['unit']} reached its limit {limit:g}"
-                    self._reached[number] = f"{reason}; {request(reason)}"
+                    shown = {"value": f"{value:.4g}", "unit": unit["unit"], "limit": f"{limit:g}"}
+                    reason = Sentence("{signal} {value} {unit} reached its limit {limit}", signal=alarm.signal, **shown)
+                    self._reached[number] = Sentence("{reason}; {answer}", reason=reason, answer=request(reason))
 
     def answer(self, reason: str, words: str) -> None:
         """Tell what became of the hold that was requested for a reason."""
         with self._lock:
             for number, reached in self._reached.items():
                 if reached.startswith(f"{reason}; "):
-                    self._reached[number] = f"{reason}; {words}"
+                    self._reached[number] = Sentence("{reason}; {answer}", reason=reason, answer=words)
 
     def shown(self) -> list[dict[str, Any]]:
         """Return the limits for the page, with the sentence about each that was reached."""

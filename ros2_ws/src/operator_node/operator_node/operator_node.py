@@ -40,10 +40,10 @@ from fringedic.frames.sensor import file_of
 from fringedic.report.page_server.app import Control, Hold, Measure, PlanSeries, SetAlarms, Start
 from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described
 from fringedic.report.page_server.marks import KeepMarks, shown_marks
-from fringedic.report.page_server.recorded import RecordedRig
+from fringedic.report.page_server.recorded import KEPT, RecordedRig
 from fringedic.report.page_server.server import Address, PageServer
 from fringedic.signals import SignalCollector
-from fringedic.wording.numbers import counted
+from fringedic.wording.translation import Sentence, translatable
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
     LiveView,
@@ -78,7 +78,7 @@ ANSWER_S = 10.0
 LOOKS_S = 0.1  # between two looks for a service
 PRESENCE_S = 1.0
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
-REFUSED = "the experiment node refuses the step; wait until it has started"
+REFUSED = translatable("the experiment node refuses the step; wait until it has started")
 MEASURING = ("run", "by_hand")  # the procedures with a dataset
 IN_PLANE = {"dic/displacement": ("displacement_x", "displacement_y")}
 IN_PLANE |= {"dic/sigma": ("displacement_sigma_x", "displacement_sigma_y")}
@@ -197,7 +197,8 @@ class OperatorNode(RigNode):
 
     def busy(self) -> str:
         """Return why nothing else may be computed now; "" when it may."""
-        return "a procedure runs on the rig: evaluate and export when it has ended" if self._state.is_busy else ""
+        busy = translatable("a procedure runs on the rig: evaluate and export when it has ended")
+        return busy if self._state.is_busy else ""
 
     def opened(self, test: str) -> RecordedRig:
         """Return an earlier test of the rig file."""
@@ -205,7 +206,9 @@ class OperatorNode(RigNode):
 
     def _shown_file(self) -> ShownRigFile:
         if self._file is None:
-            raise OperatorError("this page was started without a rig file: start it with 'fringedic operate RIG.yaml'")
+            raise OperatorError(
+                translatable("this page was started without a rig file: start it with 'fringedic operate RIG.yaml'")
+            )
         return self._file
 
     async def do(self, command: Any) -> str:
@@ -217,8 +220,9 @@ class OperatorNode(RigNode):
         if isinstance(command, PlanSeries):
             series = validate(Series, command.model_dump(), "series")
             await asyncio.to_thread(self._shown_file().plan_series, series)
-            planned = counted(len(series.specimens), "specimen")
-            return f"the series has {planned}" if series.specimens else "the series is removed"
+            if not series.specimens:
+                return translatable("the series is removed")
+            return Sentence("specimens of the series: {count}", count=len(series.specimens))
         if isinstance(command, Start):
             request = command.model_dump() | {"options": json.dumps(command.options)}  # which is YAML as well
             checked = await self.check(self._text_that_runs(command)) if command.procedure == "run" else {}
@@ -231,10 +235,12 @@ class OperatorNode(RigNode):
             return await self._called(self._controls, ControlProcedure.Request(command=code))
         if isinstance(command, Hold):
             await self._discovered(self._holds)
-            answer = await self._called(self._holds, Trigger.Request()) or "the machine was requested to hold"
+            answer = await self._called(self._holds, Trigger.Request()) or translatable(
+                "the machine was requested to hold"
+            )
             with suppress(OperatorError):  # no programme runs
                 await self._called(self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
-                answer += "; the programme does not go on by itself"
+                answer = Sentence("{answer}; the programme does not go on by itself", answer=answer)
             return answer
         assert isinstance(command, Measure), "there are no other commands"
         return await self._measure_by_hand(command)
@@ -254,9 +260,11 @@ class OperatorNode(RigNode):
             opened = await asyncio.to_thread(self.opened, command.test)
             return await opened.do(command.model_copy(update={"test": ""}))
         if "run" not in self._folders:
-            raise OperatorError("marks and notes are kept with a test: measure one, or open one of the list")
+            raise OperatorError(
+                translatable("marks and notes are kept with a test: measure one, or open one of the list")
+            )
         await asyncio.to_thread(command.save, self._folders["run"])
-        return "kept with the test"
+        return KEPT
 
     def _request_hold(self, reason: str) -> str:
         """Request a hold of the machine at a limit, and let no further step begin; in the thread of the node."""
@@ -264,10 +272,10 @@ class OperatorNode(RigNode):
             self._send(reason, self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
         if not self._holds.service_is_ready():
             self.get_logger().error(f"{reason}: there is no node of the machine to request a hold of")
-            return "no node of the machine runs: stop it at its own controls"
+            return translatable("no node of the machine runs: stop it at its own controls")
         self.get_logger().warning(f"{reason}: a hold of the machine is requested")
         self._send(reason, self._holds, Trigger.Request())
-        return "a hold was requested"
+        return translatable("a hold was requested")
 
     def _send(self, reason: str, client: Client, request: Any) -> None:
         """Send a request of a limit, which `_repeat` sends again until it is answered."""
@@ -284,13 +292,14 @@ class OperatorNode(RigNode):
                 if time.monotonic() < each.end:
                     waiting.append(each)
                     continue
-                problem = f"no answer within {ANSWER_S:g} s"
+                problem = Sentence("no answer within {seconds} s", seconds=f"{ANSWER_S:g}")
             elif is_hold and not each.request.response.success:  # without a programme nothing is paused
                 problem = each.request.response.message
             if problem:
                 self.get_logger().error(f"{each.client.srv_name}: {problem}")
             if problem and is_hold:
-                self._alarms.answer(each.reason, f"NO HOLD: {problem}; stop the machine at its own controls")
+                told = Sentence("NO HOLD: {problem}; stop the machine at its own controls", problem=problem)
+                self._alarms.answer(each.reason, told)
             with each.request:
                 pass  # no request stays pending
         self._sent = waiting
@@ -314,35 +323,41 @@ class OperatorNode(RigNode):
 
     async def _measure_by_hand(self, command: Measure) -> str:
         if not self._measure.server_is_ready():
-            raise OperatorError("no experiment node is running: start measuring by hand, or a programme")
+            raise OperatorError(translatable("no experiment node is running: start measuring by hand, or a programme"))
         self._by_hand.used = True
         goal = MeasureStep.Goal(mode=MODES[command.mode], set_reference=command.set_reference, controller="operator")
         sent = self._measure.send_goal_async(goal)
         sent.add_done_callback(self._follow)  # also of an answer that comes too late for the browser
         handle = await _answer(sent, "measure_step")
         if not handle.accepted:
-            raise OperatorError(f"measure_step: {REFUSED}")
+            raise OperatorError(REFUSED)
         return ""
 
     def _follow(self, sent: Future) -> None:
         handle = sent.result()
         if not handle.accepted:
-            self._state.set_hand(f"not measured: {REFUSED}")
+            self._not_measured(REFUSED)
             return
-        self._state.set_hand("measuring")
+        self._state.set_hand(translatable("measuring"))
         handle.get_result_async().add_done_callback(self._take_result)
 
     def _take_result(self, future: Future) -> None:
         try:
             result = result_of(future.result(), "measure_step")
         except StepFailedError as error:
-            self._state.set_hand(f"not measured: {error}")
+            self._not_measured(str(error))
             return
         if result is None:
-            self._state.set_hand("not measured: the experiment node was started again; measure the step again")
+            self._not_measured(translatable("the experiment node was started again; measure the step again"))
             return
-        failed = f"failed: {result.error_message} (error {result.error_code})"
-        self._state.set_hand(f"step {result.step} {failed if result.error_code else 'is measured'}")
+        if result.error_code:
+            why = f"{result.error_message} (error {result.error_code})"
+            self._state.set_hand(Sentence("step {step} failed: {reason}", step=result.step, reason=why))
+        else:
+            self._state.set_hand(Sentence("step {step} is measured", step=result.step))
+
+    def _not_measured(self, reason: str) -> None:
+        self._state.set_hand(Sentence("not measured: {reason}", reason=reason))
 
     # messages of the rig
 

@@ -16,6 +16,7 @@ from fringedic.report.page_server.maps import described_signal
 from fringedic.rig_setup.check_list import SetupItem
 from fringedic.rig_setup.live_sentences import TITLES, live_entries
 from fringedic.signals import Sample
+from fringedic.wording.translation import translatable
 from fringedic_msgs.msg import ProcedureStatus, StepStatus
 
 LOG_LINES = 200
@@ -31,15 +32,16 @@ LONGEST_TEXT = 2000  # characters of a text from elsewhere: the page is sent who
 RATE_SPAN_S = 60.0  # over which the use of the disk is averaged
 SILENT_S = 5.0  # without diagnostics, after which a node is called silent
 BUSY = range(ProcedureStatus.RUNNING, ProcedureStatus.DONE)
-STAGES = ("begin", "frames", "processing", "measured", "failed")
-LOAD_MODES = ("unknown", "idle", "moving", "hold", "fault")
-RECORDER_STATES = ("idle", "starting", "recording", "failed")
+STAGES = translatable(("begin", "frames", "processing", "measured", "failed"))
+LOAD_MODES = translatable(("unknown", "idle", "moving", "hold", "fault"))
+RECORDER_STATES = translatable(("idle", "starting", "recording", "failed"))
+NODE_LEVELS = translatable(("ok", "warning", "error", "silent"))
 LEVELS = {20: "info", 30: "warning", 40: "error", 50: "fatal"}
 PROCEDURE_TITLES = {item.value: title for item, title in TITLES.items()} | {
-    "live": "Live view",
-    "settings": "Change of the rig file",
-    "run": "Programme",
-    "by_hand": "Measuring by hand",
+    "live": translatable("Live view"),
+    "settings": translatable("Change of the rig file"),
+    "run": translatable("Programme"),
+    "by_hand": translatable("Measuring by hand"),
 }
 KINDS = {"white": PatternKind.WHITE, "fringes": PatternKind.FRINGES}
 
@@ -91,7 +93,7 @@ class RigState:
         with self._lock:
             # those of a procedure that has ended have ended with it
             nodes = [
-                node | ({"level": "silent", "message": "no diagnostics"} if now - seen > SILENT_S else {})
+                node | ({"level": "silent", "message": translatable("no diagnostics")} if now - seen > SILENT_S else {})
                 for seen, node in self._nodes.values()
                 if self._is_present(seen, now)
             ]
@@ -191,7 +193,7 @@ class RigState:
                 if status.name not in self._nodes and len(self._nodes) >= MOST_NODES:
                     continue
                 values = {_shortened(each.key): _shortened(each.value) for each in status.values[:MOST_VALUES]}
-                level = ("ok", "warning", "error", "silent")[_level(status.level)]
+                level = NODE_LEVELS[_level(status.level)]
                 words = {"name": _shortened(status.name), "level": level, "message": _shortened(status.message)}
                 self._nodes[status.name] = (now, words | {"values": values})
 

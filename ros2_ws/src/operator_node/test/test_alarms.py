@@ -30,14 +30,14 @@ def test_a_limit_is_reached_once_until_it_is_set_again() -> None:
         return list(requests)
 
     limits = [Alarm(signal="position", above=0.5), Alarm(signal="force", below=-3)]
-    assert alarms.set(limits) == "2 limits in force"
+    assert alarms.set(limits) == "limits in force: 2"
     assert check(0.49) == []
     assert check(math.nan) == []
     assert check(0.5) == ["position 0.5 mm reached its limit 0.5"]
     assert check(0.6) == []
     told = "position 0.5 mm reached its limit 0.5; a hold was requested"
     assert [each["reached"] for each in alarms.shown()] == [told, ""]
-    assert alarms.set([Alarm(signal="position", below=0.1, above=0.5)]) == "1 limit in force"
+    assert alarms.set([Alarm(signal="position", below=0.1, above=0.5)]) == "limits in force: 1"
     assert check(0.05) == ["position 0.05 mm reached its limit 0.1"]
 
 

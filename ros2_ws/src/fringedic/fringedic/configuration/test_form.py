@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError
 from fringedic.metadata import SpecimenMetadata
+from fringedic.wording.translation import translatable
 
 Answers = dict[str, str | float]
 """Answers by the names of their fields."""
@@ -75,20 +76,20 @@ class FormField(Section):
         return float(value)
 
 
-SPECIMEN = "specimen"  # name of the field in which the specimens of a series differ
+SPECIMEN = translatable("specimen")  # name of the field in which the specimens of a series differ
 DEFAULT_FORM = (
     FormField(name=SPECIMEN, entry="name"),
-    FormField(name="specimen number", entry="number"),
-    FormField(name="material", entry="material"),
-    FormField(name="width [mm]", kind="number", minimum=0),
-    FormField(name="thickness [mm]", kind="number", minimum=0),
-    FormField(name="section [mm²]", entry="section_mm2", kind="number", minimum=0),
-    FormField(name="direction"),
-    FormField(name="operator", entry="operator"),
-    FormField(name="standard"),
-    FormField(name="test number", entry="test_number"),
-    FormField(name="customer", entry="customer"),
-    FormField(name="notes", entry="notes"),
+    FormField(name=translatable("specimen number"), entry="number"),
+    FormField(name=translatable("material"), entry="material"),
+    FormField(name=translatable("width [mm]"), kind="number", minimum=0),
+    FormField(name=translatable("thickness [mm]"), kind="number", minimum=0),
+    FormField(name=translatable("section [mm²]"), entry="section_mm2", kind="number", minimum=0),
+    FormField(name=translatable("direction")),
+    FormField(name=translatable("operator"), entry="operator"),
+    FormField(name=translatable("standard")),
+    FormField(name=translatable("test number"), entry="test_number"),
+    FormField(name=translatable("customer"), entry="customer"),
+    FormField(name=translatable("notes"), entry="notes"),
 )
 
 
@@ -112,7 +113,7 @@ def answers_of(form: Sequence[FormField], specimen: SpecimenMetadata) -> Answers
 
     Examples
     --------
-    >>> answers_of(DEFAULT_FORM, SpecimenMetadata(name="plate 7", entries={"width [mm]": 25.0}))
+    >>> answers_of(DEFAULT_FORM, SpecimenMetadata(name=translatable("plate 7"), entries={"width [mm]": 25.0}))
     {'specimen': 'plate 7', 'width [mm]': 25.0}
     """
     values = {

@@ -18,6 +18,7 @@ from fringedic.rig_setup.settings_warnings import (
     MOST_SATURATED,
     SMALLEST_FEATURE,
 )
+from fringedic.wording.translation import Sentence, translatable
 
 LEAST_MODULATION = 0.1  # of the range
 
@@ -67,45 +68,61 @@ def live_entries(figures: LiveFigures, kind: PatternKind) -> list[LiveEntry]:
         speckle size mean nothing.
     """
     good = figures.saturated <= MOST_SATURATED
-    advice = "good" if good else "shorten the exposure, close the aperture or reduce reflections"
-    entries = [LiveEntry("saturated", f"{100 * figures.saturated:.2f} % of the pixels", advice, good)]
+    advice = _advice(good, translatable("shorten the exposure, close the aperture or reduce reflections"))
+    entries = [LiveEntry(translatable("saturated"), _share(figures.saturated), advice, good)]
     if kind in (PatternKind.WHITE, PatternKind.FRINGES):
         cumulated = np.cumsum(np.asarray(figures.histogram, np.int64))
         bright = float(np.searchsorted(cumulated, 0.99 * cumulated[-1])) / (len(figures.histogram) - 1)
         good = bright >= LEAST_RANGE
         size = figures.speckle_size
-        advice = f"good ({SMALLEST_FEATURE:g} to {LARGEST_FEATURE:g} px)"
+        limits = {"smallest": f"{SMALLEST_FEATURE:g}", "largest": f"{LARGEST_FEATURE:g}"}
+        advice = Sentence("good ({smallest} to {largest} px)", **limits)
         if math.isnan(size):
-            advice = "no pattern is visible: focus the camera, or apply a pattern to the surface"
+            advice = translatable("no pattern is visible: focus the camera, or apply a pattern to the surface")
         elif size < SMALLEST_FEATURE:
-            advice = f"below {SMALLEST_FEATURE:g} px they alias: move the camera closer, or apply a coarser pattern"
+            advice = Sentence(
+                "below {smallest} px they alias: move the camera closer, or apply a coarser pattern", **limits
+            )
         elif size > LARGEST_FEATURE:
-            advice = (
-                f"above {LARGEST_FEATURE:g} px they reduce the resolution: move the camera away, or apply a finer "
-                "pattern"
+            advice = Sentence(
+                "above {largest} px they reduce the resolution: move the camera away, or apply a finer pattern",
+                **limits,
             )
         entries += [
             LiveEntry(
-                "brightness",
-                f"mean {figures.mean:.0f} of {figures.full_scale:.0f}, brightest {100 * bright:.0f} % of the range",
-                "good" if good else "add light, use a longer exposure or open the aperture",
+                translatable("brightness"),
+                Sentence(
+                    "mean {mean} of {full_scale}, brightest {brightest} % of the range",
+                    mean=f"{figures.mean:.0f}",
+                    full_scale=f"{figures.full_scale:.0f}",
+                    brightest=f"{100 * bright:.0f}",
+                ),
+                _advice(good, translatable("add light, use a longer exposure or open the aperture")),
                 good,
             ),
             LiveEntry(
-                "black",
-                f"{100 * figures.dark:.2f} % of the pixels",
-                "good" if figures.dark <= MOST_DARK else "add light, or raise the black level of the camera",
+                translatable("black"),
+                _share(figures.dark),
+                _advice(figures.dark <= MOST_DARK, translatable("add light, or raise the black level of the camera")),
                 figures.dark <= MOST_DARK,
             ),
-            LiveEntry("speckles", _known(size, f"{size:.1f} px"), advice, SMALLEST_FEATURE <= size <= LARGEST_FEATURE),
+            LiveEntry(
+                translatable("speckles"),
+                _known(size, Sentence("{size} px", size=f"{size:.1f}")),
+                advice,
+                SMALLEST_FEATURE <= size <= LARGEST_FEATURE,
+            ),
         ]
     if kind == PatternKind.FRINGES:
         good = figures.modulation >= LEAST_MODULATION * figures.full_scale
         entries.append(
             LiveEntry(
-                "fringes",
-                _known(figures.modulation, f"amplitude {figures.modulation:.1f} grey levels"),
-                "good" if good else "focus the projector, reduce the room light or show wider fringes",
+                translatable("fringes"),
+                _known(
+                    figures.modulation,
+                    Sentence("amplitude {amplitude} grey levels", amplitude=f"{figures.modulation:.1f}"),
+                ),
+                _advice(good, translatable("focus the projector, reduce the room light or show wider fringes")),
                 good,
             )
         )
@@ -114,43 +131,62 @@ def live_entries(figures: LiveFigures, kind: PatternKind) -> list[LiveEntry]:
     return [
         *entries,
         LiveEntry(
-            "noise",
-            _known(figures.noise, f"{figures.noise:.2f} grey levels, {ratio:.0f} times below the mean"),
-            "good" if still else "the image moves: keep rig and specimen still",
+            translatable("noise"),
+            _known(
+                figures.noise,
+                Sentence(
+                    "{noise} grey levels, {ratio} times below the mean",
+                    noise=f"{figures.noise:.2f}",
+                    ratio=f"{ratio:.0f}",
+                ),
+            ),
+            _advice(still, translatable("the image moves: keep rig and specimen still")),
             still,
         ),
     ]
 
 
 def _known(value: float, text: str) -> str:
-    return text if math.isfinite(value) else "not known"
+    return text if math.isfinite(value) else translatable("not known")
 
 
-TITLES = {
-    SetupItem.AXES: "Aim camera and projector",
-    SetupItem.CAMERA_FOCUS: "Focus and exposure of the camera",
-    SetupItem.PROJECTOR_FOCUS: "Focus of the projector",
-    SetupItem.TIMING: "Timing of the projector",
-    SetupItem.RESPONSE: "Response curve",
-    SetupItem.CALIBRATE: "Calibration",
-    SetupItem.CHECK: "Check of the calibration",
-    SetupItem.REGION: "Region to be measured",
-    SetupItem.NOISE: "Noise floor",
-    SetupItem.ADVISE: "Recommended settings",
-}
-_FIRST = {
-    SetupItem.AXES: "Show the crosshair, and turn camera and projector until both axes meet on the specimen.",
-    SetupItem.CAMERA_FOCUS: "Show white light, turn the focus ring to the best focus, and set the exposure without "
-    "saturated pixels.",
-    SetupItem.PROJECTOR_FOCUS: "Show the focus lines, and turn the lens of the projector to the best focus.",
-    SetupItem.TIMING: "Measure the delay of the projector, and use the recommended exposure and settle time.",
-    SetupItem.RESPONSE: "Measure the response of the projector to grey levels, and use its curve.",
-    SetupItem.CALIBRATE: "Print the grid, lay it on the reference plane, start, and follow the instructions.",
-    SetupItem.CHECK: "Measure the reference plane and a gauge block, to see that the calibration is valid.",
-    SetupItem.REGION: "Mount the specimen, and draw the part of the image that is to be measured.",
-    SetupItem.NOISE: "Measure steps with the specimen at rest, before the test.",
-    SetupItem.ADVISE: "Take three images at rest, and use the recommended window.",
-}
+def _share(of_pixels: float) -> str:
+    return Sentence("{share} % of the pixels", share=f"{100 * of_pixels:.2f}")
+
+
+def _advice(good: bool, advice: str) -> str:
+    return translatable("good") if good else advice
+
+
+TITLES = translatable(
+    {
+        SetupItem.AXES: "Aim camera and projector",
+        SetupItem.CAMERA_FOCUS: "Focus and exposure of the camera",
+        SetupItem.PROJECTOR_FOCUS: "Focus of the projector",
+        SetupItem.TIMING: "Timing of the projector",
+        SetupItem.RESPONSE: "Response curve",
+        SetupItem.CALIBRATE: "Calibration",
+        SetupItem.CHECK: "Check of the calibration",
+        SetupItem.REGION: "Region to be measured",
+        SetupItem.NOISE: "Noise floor",
+        SetupItem.ADVISE: "Recommended settings",
+    }
+)
+_FIRST = translatable(
+    {
+        SetupItem.AXES: "Show the crosshair, and turn camera and projector until both axes meet on the specimen.",
+        SetupItem.CAMERA_FOCUS: "Show white light, turn the focus ring to the best focus, and set the exposure without "
+        "saturated pixels.",
+        SetupItem.PROJECTOR_FOCUS: "Show the focus lines, and turn the lens of the projector to the best focus.",
+        SetupItem.TIMING: "Measure the delay of the projector, and use the recommended exposure and settle time.",
+        SetupItem.RESPONSE: "Measure the response of the projector to grey levels, and use its curve.",
+        SetupItem.CALIBRATE: "Print the grid, lay it on the reference plane, start, and follow the instructions.",
+        SetupItem.CHECK: "Measure the reference plane and a gauge block, to see that the calibration is valid.",
+        SetupItem.REGION: "Mount the specimen, and draw the part of the image that is to be measured.",
+        SetupItem.NOISE: "Measure steps with the specimen at rest, before the test.",
+        SetupItem.ADVISE: "Take three images at rest, and use the recommended window.",
+    }
+)
 
 
 def next_sentence(item: ListedItem) -> str:
@@ -159,11 +195,11 @@ def next_sentence(item: ListedItem) -> str:
         return _FIRST[item.item]
     present = "; ".join(item.present)
     if item.state is ItemState.DONE:
-        return f"Nothing to do. In the rig file: {present}." if present else "Nothing to do."
+        return f"Nothing to do. In the rig file: {present}." if present else translatable("Nothing to do.")
     if item.state is ItemState.NOT_IN_USE:
         return f"Use this result: the rig file still has {present}."
     if item.state is ItemState.FAILED:
-        return "The calibration did not pass it: calibrate again, and then repeat it."
+        return translatable("The calibration did not pass it: calibrate again, and then repeat it.")
     if not item.superseded_by:
         return f"Repeat it, because the rig file now has {present}."
     later = " and ".join(TITLES[each].lower() for each in item.superseded_by)

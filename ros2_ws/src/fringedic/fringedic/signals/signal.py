@@ -16,6 +16,7 @@ from fringedic.signals.samples import (
     slope,
     summarise,
 )
+from fringedic.wording.translation import translatable
 
 
 class Channel(NamedTuple):
@@ -40,8 +41,8 @@ class Channel(NamedTuple):
     source: str = ""
 
 
-FORCE = Channel("force", "force", "N", "tension", "load_frame")
-POSITION = Channel("position", "length", "m", "in the direction of tension", "load_frame")
+FORCE = Channel(translatable("force"), "force", "N", "tension", "load_frame")
+POSITION = Channel(translatable("position"), "length", "m", "in the direction of tension", "load_frame")
 
 
 class SignalValue(NamedTuple):

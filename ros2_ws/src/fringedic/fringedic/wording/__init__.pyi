@@ -6,5 +6,7 @@ from .numbers import number_text as number_text
 from .optional_packages import optional_import as optional_import
 from .path_names import path_name as path_name
 from .path_names import recording_names as recording_names
+from .translation import Sentence as Sentence
+from .translation import translatable as translatable
 from .yaml_text import InvalidYamlError as InvalidYamlError
 from .yaml_text import load_yaml as load_yaml

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from fringedic.errors import OperatorError
+from fringedic.wording.translation import Sentence
 
 ABSENT_S = 10.0  # without a connection, after which a driver has left
 
@@ -70,7 +71,7 @@ class Seat:
     @property
     def words(self) -> str:
         """Return the name for people."""
-        return f"browser {self.number} ({self.address})"
+        return Sentence("browser {number} ({address})", number=self.number, address=self.address)
 
 
 @dataclass
@@ -123,8 +124,9 @@ class Wheel:
         """
         if session != self.driver:
             seat = self.seats.get(self.driver)
-            who = "nobody drives" if seat is None else f"{seat.words} drives"
-            raise OperatorError(f"{who}: ask for the wheel first")
+            if seat is None:
+                raise OperatorError(Sentence("Nobody drives: ask for the wheel first."))
+            raise OperatorError(Sentence("{browser} drives: ask for the wheel first.", browser=seat.words))
 
     def ask(self, session: str) -> None:
         """Take the wheel when nobody holds it, and ask the driver for it otherwise."""

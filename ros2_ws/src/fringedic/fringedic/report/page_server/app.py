@@ -30,10 +30,12 @@ from fringedic.report.page_server.access import Wheel
 from fringedic.report.page_server.catalogue import small_picture
 from fringedic.report.page_server.evaluations import NICE, Evaluate, Evaluations, Export, Preview
 from fringedic.report.page_server.guard import REPORT_POLICY
+from fringedic.report.page_server.languages import words_in
 from fringedic.report.page_server.manual import manual_file, manual_page
 from fringedic.report.page_server.marks import Asked, KeepMarks, readings
 from fringedic.report.page_server.recorded import RecordedRig
 from fringedic.report.page_server.streams import Client, Hub
+from fringedic.wording.translation import Sentence, translatable
 
 PAGE = Path(__file__).with_name("static")
 LARGEST_BODY = 500_000  # [byte] of a command; the longest is a programme
@@ -196,6 +198,7 @@ def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
             Route("/tests/{name}", site.test),
             Route("/tests/{name}/picture", site.picture),
             Route("/palettes", site.palettes),
+            Route("/words", site.words),
             Route("/files/{folder}/{name}", site.file),
             Route("/evaluations/{folder}", site.evaluations),
             Route("/evaluations/{folder}", site.evaluate, methods=["POST"]),
@@ -223,7 +226,8 @@ def _answering(
         try:
             return await endpoint(site, request)
         except FringedicError as error:
-            return JSONResponse({"message": str(error)}, 409)
+            sentence = next((each for each in error.args if isinstance(each, Sentence)), str(error))
+            return JSONResponse(_said(sentence), 409)
 
     return answer
 
@@ -295,6 +299,9 @@ class _Site:
     async def palettes(self, _: Request) -> Response:
         return JSONResponse(await run_in_threadpool(_palettes))
 
+    async def words(self, request: Request) -> Response:
+        return JSONResponse(words_in(request.query_params.get("languages", "").split(",")))
+
     async def file(self, request: Request) -> Response:
         folder = self._rig.folders().get(request.path_params["folder"])
         name = Path(request.path_params["name"]).name
@@ -315,7 +322,7 @@ class _Site:
         command = _parsed(COMMANDS[name], await _body(request))
         if name not in FOR_EVERYBODY:
             self._wheel.require(session)
-        return JSONResponse({"message": await self._rig.do(command)})
+        return JSONResponse(_said(await self._rig.do(command)))
 
     @_answering
     async def check(self, request: Request) -> Response:
@@ -343,7 +350,7 @@ class _Site:
         asked = _parsed(Evaluate, await _body(request))
         self._wheel.require(request.state.session)
         words = await run_in_threadpool(self._evaluations.start, self._folder(request), asked)
-        return JSONResponse({"message": words})
+        return JSONResponse(_said(words))
 
     @_answering
     async def previewed(self, request: Request) -> Response:
@@ -353,7 +360,7 @@ class _Site:
     async def evaluation_report(self, request: Request) -> Response:
         report = self._evaluations.of(self._folder(request), request.path_params["name"]).report
         if not report.is_file():
-            raise OperatorError("this evaluation has no report: 'fringedic report' writes it")
+            raise OperatorError(translatable("this evaluation has no report: 'fringedic report' writes it"))
         return FileResponse(report, headers={"Content-Security-Policy": REPORT_POLICY})
 
     @_answering
@@ -367,7 +374,8 @@ class _Site:
         """Return the folder of the run that a request names."""
         folder = self._rig.folders().get(request.path_params["folder"])
         if folder is None:
-            raise OperatorError(f"there is no test {request.path_params['folder'][:60]}: choose one of the list")
+            name = request.path_params["folder"][:60]
+            raise OperatorError(Sentence("there is no test {test}: choose one of the list", test=name))
         return folder
 
     @_answering
@@ -444,10 +452,17 @@ async def _until_closed(socket: WebSocket) -> None:
             await socket.receive()
 
 
+def _said(text: str) -> dict[str, Any]:
+    """Return an answer with a text, and a sentence also in its parts, which the page translates."""
+    return {"message": text} | ({"sentence": plain(text)} if isinstance(text, Sentence) else {})
+
+
 def plain(value: Any) -> Any:
-    """Return nested values with None in place of numbers that JSON does not have."""
+    """Return nested values with None in place of numbers that JSON does not have, and sentences in their parts."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, Sentence):
+        return {"template": value.template, "values": plain(value.values)}
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
@@ -469,7 +484,7 @@ async def _body(request: Request) -> bytes:
     async for part in request.stream():
         body += part
         if len(body) > LARGEST_BODY:
-            raise OperatorError(f"the text is longer than {LARGEST_BODY // 1000} kB: shorten it")
+            raise OperatorError(Sentence("the text is longer than {size} kB: shorten it", size=LARGEST_BODY // 1000))
     return body
 
 

@@ -24,6 +24,7 @@ from fringedic.frames.sensor import SENSOR, file_of
 from fringedic.metadata import SpecimenMetadata
 from fringedic.report.page_server.maps import tile
 from fringedic.report.page_server.recorded import RecordedRig
+from fringedic.wording.translation import Sentence, translatable
 
 MOST_TESTS = 200  # of the list, the latest ones
 SMALL_PX = 96  # largest side of the small picture of a test
@@ -94,13 +95,13 @@ class RecordedTest:
     def _verdict(self) -> tuple[str, str]:
         """Return good, care or bad, and the words about it."""
         if self.found is None:
-            return ("care", "no results") if self.results is None else ("", "")
+            return ("care", translatable("no results")) if self.results is None else ("", "")
         steps, failed = self.found.steps, self.found.failed
         if failed:
-            return "bad", f"{failed} of {steps} steps failed"
+            return "bad", Sentence("{failed} of {steps} steps failed", failed=failed, steps=steps)
         if self.planned is not None and steps < self.planned:
-            return "care", f"{steps} of at most {self.planned} steps"
-        return "good", f"{steps} steps measured"
+            return "care", Sentence("{steps} of at most {planned} steps", steps=steps, planned=self.planned)
+        return "good", Sentence("{steps} steps measured", steps=steps)
 
 
 class Catalogue:
@@ -187,9 +188,11 @@ def opened_test(tests: Mapping[str, RecordedTest], name: str) -> RecordedRig:
     """
     test = tests.get(name)
     if test is None:
-        raise OperatorError(f"there is no test {name[:100]}: choose one of the list")
+        raise OperatorError(Sentence("there is no test {test}: choose one of the list", test=name[:100]))
     if test.results is None:
-        raise OperatorError(f"{name} has no results: measure it again from its recording with 'fringedic process'")
+        raise OperatorError(
+            Sentence("{test} has no results: measure it again from its recording with 'fringedic process'", test=name)
+        )
     return _opened(test.results, test.results.stat().st_mtime_ns)
 
 
@@ -212,7 +215,7 @@ def small_picture(rig: RecordedRig) -> bytes:
             values = tile(rig.maps, step, name).values
             every = math.ceil(max(values.shape) / SMALL_PX)
             return _coloured(values[::every, ::every])
-    raise OperatorError("no step of this test has a map")
+    raise OperatorError(translatable("no step of this test has a map"))
 
 
 def _coloured(values: np.ndarray) -> bytes:

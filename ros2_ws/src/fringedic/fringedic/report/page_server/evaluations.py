@@ -26,6 +26,7 @@ from fringedic.report.previewed_evaluation import PREVIEW
 from fringedic.report.processing_entries import changes_text
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.causes import cause_of
+from fringedic.wording.translation import Sentence, translatable
 
 ExportFormat = Literal["png", "csv", "gif", "vtk", "mat", "tiff"]
 PREVIEWED_S = 600.0  # longest time of a preview
@@ -155,13 +156,15 @@ class Evaluations:
         """
         file = self._work / "preview" / f"{name}.png"
         if name not in ("before", "after") or not file.is_file():
-            raise OperatorError("there is no preview: ask for one first")
+            raise OperatorError(translatable("there is no preview: ask for one first"))
         return file
 
     def start(self, run: Path, asked: Evaluate) -> str:
         """Begin an evaluation, whose state is in `listed`."""
         if any(each.name == asked.name for each in evaluations(run)):
-            raise OperatorError(f"{asked.name} exists already: evaluations are not replaced, choose another name")
+            raise OperatorError(
+                Sentence("{name} exists already: evaluations are not replaced, choose another name", name=asked.name)
+            )
         self._enter()
         self._job = {"name": asked.name, "state": "runs", "words": "", "since": time.time()}
         self._job_of = run
@@ -170,14 +173,14 @@ class Evaluations:
         def work() -> None:
             try:
                 self._command(["evaluate", str(run), "--name", asked.name, *self._settings(asked.settings), *why], None)
-                self._job = self._job | {"state": "done", "words": f"{asked.name} is complete"}
+                self._job = self._job | {"state": "done", "words": Sentence("{name} is complete", name=asked.name)}
             except FringedicError as error:
                 self._job = self._job | {"state": "failed", "words": str(error)}
             finally:
                 self._one.release()
 
         threading.Thread(target=work, name="evaluation", daemon=True).start()
-        return f"{asked.name} is computed; the results of the run stay as they are"
+        return Sentence("{name} is computed; the results of the run stay as they are", name=asked.name)
 
     def export(self, run: Path, asked: Export) -> Path:
         """Return a ZIP file with exported files, which the caller removes."""
@@ -208,7 +211,7 @@ class Evaluations:
         """
         found = next((each for each in evaluations(run) if each.name == name), None)
         if found is None:
-            raise OperatorError(f"there is no evaluation {name[:60]}")
+            raise OperatorError(Sentence("there is no evaluation {name}", name=name[:60]))
         return found
 
     def close(self) -> None:
@@ -229,7 +232,7 @@ class Evaluations:
         if reason:
             raise OperatorError(reason)
         if not self._one.acquire(blocking=False):
-            raise OperatorError("another evaluation or export is being computed: wait until it has ended")
+            raise OperatorError(translatable("another evaluation or export is being computed: wait until it has ended"))
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

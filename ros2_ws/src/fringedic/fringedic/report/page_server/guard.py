@@ -10,8 +10,11 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from fringedic.report.page_server.access import Sessions
+from fringedic.wording.translation import translatable
 
-EXPIRED = "This page belongs to another start of the program: open the address that fringedic has printed."
+EXPIRED = translatable(
+    "This page belongs to another start of the program: open the address that fringedic has printed."
+)
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",

@@ -20,6 +20,7 @@ from fringedic.datasets.quantities import MAPS, people_unit, resolution_of, sigm
 from fringedic.errors import DatasetError
 from fringedic.evaluation import extensometer, profile
 from fringedic.frames.region import Point
+from fringedic.wording.translation import Sentence, translatable
 
 MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser
@@ -163,7 +164,11 @@ def _spacing(maps: xr.Dataset) -> int:
 def _require(known: Mapping[int, Sequence[str]], step: int, names: Sequence[str]) -> None:
     missing = [name for name in names if name not in known.get(step, ())]
     if missing:
-        raise DatasetError(f"step {step} has no map {', '.join(missing)}: choose a step and a map of the lists")
+        raise DatasetError(
+            Sentence(
+                "step {step} has no map {map}: choose a step and a map of the lists", step=step, map=", ".join(missing)
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -267,7 +272,7 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
     """
     steps = [step for step, names in maps.names().items() if set(_POSITION + _DISPLACEMENT) <= set(names)]
     if not steps:
-        raise DatasetError("no step has a displacement yet: measure two steps")
+        raise DatasetError(translatable("no step has a displacement yet: measure two steps"))
     return [{"step": step, **gauge_at(maps, step, first, second, subset)} for step in steps]
 
 

@@ -12,8 +12,10 @@ from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
 from fringedic.report.page_server.maps import RecordedMaps, described, described_signal
 from fringedic.report.page_server.marks import KeepMarks, shown_marks
+from fringedic.wording.translation import translatable
 
-NO_RIG = "this is a recording: open a rig with 'fringedic operate' to measure"
+NO_RIG = translatable("this is a recording: open a rig with 'fringedic operate' to measure")
+KEPT = translatable("kept with the test")
 
 
 class RecordedRig:
@@ -75,7 +77,7 @@ class RecordedRig:
         if not isinstance(command, KeepMarks) or command.test:
             raise OperatorError(NO_RIG)
         await asyncio.to_thread(command.save, self._folder)
-        return "kept with the test"
+        return KEPT
 
     async def check(self, text: str) -> dict[str, Any]:  # noqa: ARG002 (that of `Rig`)
         """Refuse every programme."""

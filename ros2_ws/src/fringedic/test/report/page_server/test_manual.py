@@ -15,8 +15,8 @@ STATIC = Path(app.__file__).with_name("static")
 
 
 def test_every_view_has_a_help_whose_page_and_heading_exist() -> None:
-    views = re.findall(r"(\w+): \"", (STATIC / "main.js").read_text().split("OF_A_RIG = {")[1].split("}")[0])
-    helps = dict(re.findall(r"^  (\w+): \[\".*\", \"([\w#/-]+)\"\],$", (STATIC / "help.js").read_text(), re.M))
+    views = re.findall(r"(\w+): (?:t\()?\"", (STATIC / "main.js").read_text().split("OF_A_RIG = {")[1].split("}")[0])
+    helps = dict(re.findall(r"^  (\w+): \[t\(\".*\"\), \"([\w#/-]+)\"\],$", (STATIC / "help.js").read_text(), re.M))
     assert set(views) <= set(helps)
     for address in helps.values():
         page, _, anchor = address.partition("#")

@@ -2,6 +2,7 @@
 
 import { button, notDriving } from "./buttons.js";
 import { keep, make, options, patch } from "./elements.js";
+import { decimal, known, spoken, t } from "./language.js";
 import { numberField } from "./numbers.js";
 import { command } from "./server.js";
 import { latest, listen } from "./stream.js";
@@ -21,14 +22,14 @@ export function alarmsPanel() {
   };
   const paint = () => {
     const signals = latest("signals") ?? [], alarms = latest("alarms") ?? [], names = JSON.stringify(signals.map(({ name, unit }) => [name, unit]));
-    if (names !== offered) options(signal, signals.map(({ name, unit }) => [name, `${name} [${unit}]`]));
+    if (names !== offered) options(signal, signals.map(({ name, unit }) => [name, `${known(name)} [${unit}]`]));
     offered = names;
     element.hidden = !latest("rig")?.load_frame && !latest("rig")?.machine;
-    patch(element, make("h2", {}, "Limits that request a hold"),
-      make("p", { class: "soft" }, "The page asks the machine to hold once, and pauses the programme. It only asks: protect people and machine by the machine’s own limits."),
+    patch(element, make("h2", {}, t("Limits that request a hold")),
+      make("p", { class: "soft" }, t("The page asks the machine to hold once, and pauses the programme. It only asks: protect people and machine by the machine’s own limits.")),
       make("ul", {}, ...alarms.map((alarm) => line(alarm, signals))),
-      make("div", { class: "row" }, make("label", {}, "Signal", signal), make("label", {}, "at or below", below.input), make("label", {}, "at or above", above.input),
-        button("Set this limit", { id: "set-alarm", why: notDriving() || (signals.length ? "" : "No signal has come yet: start measuring by hand, or a programme."), onclick: add })));
+      make("div", { class: "row" }, make("label", {}, t("Signal"), signal), make("label", {}, t("at or below"), below.input), make("label", {}, t("at or above"), above.input),
+        button(t("Set this limit"), { id: "set-alarm", why: notDriving() || (signals.length ? "" : t("No signal has come yet: start measuring by hand, or a programme.")), onclick: add })));
   };
   const ends = ["alarms", "signals", "rig", "wheel"].map((topic) => listen(topic, paint));
   return { element, end: () => ends.forEach((end) => end()) };
@@ -38,9 +39,9 @@ const plain = () => (latest("alarms") ?? []).map(({ signal, below, above }) => (
 
 function line(alarm, signals) {
   const { unit = "", value = null } = signals.find(({ name }) => name === alarm.signal) ?? {}, isChecked = value !== null;
-  const words = [alarm.below === null ? "" : `at or below ${alarm.below} ${unit}`, alarm.above === null ? "" : `at or above ${alarm.above} ${unit}`].filter(Boolean).join(", or ");
-  return make("li", { "data-key": alarm.signal }, make("span", { class: "row" }, `${alarm.signal} ${words}`,
-    alarm.reached ? make("strong", { class: "bad" }, alarm.reached) : make("span", { class: isChecked ? "good" : "bad" }, isChecked ? "in force" : "not checked: the signal has no value now"),
-    alarm.reached ? button("In force again", { "data-key": "again", why: notDriving(), onclick: () => command("alarms", { alarms: plain() }) }) : null,
-    button("Remove", { "data-key": "remove", why: notDriving(), onclick: () => command("alarms", { alarms: plain().filter(({ signal }) => signal !== alarm.signal) }) })));
+  const words = [alarm.below === null ? "" : t("at or below {limit}", { limit: `${decimal(alarm.below)} ${unit}` }), alarm.above === null ? "" : t("at or above {limit}", { limit: `${decimal(alarm.above)} ${unit}` })].filter(Boolean).join(t(", or "));
+  return make("li", { "data-key": alarm.signal }, make("span", { class: "row" }, `${known(alarm.signal)} ${words}`,
+    alarm.reached ? make("strong", { class: "bad", lang: spoken(alarm.reached) }, known(alarm.reached)) : make("span", { class: isChecked ? "good" : "bad" }, isChecked ? t("in force") : t("not checked: the signal has no value now")),
+    alarm.reached ? button(t("In force again"), { "data-key": "again", why: notDriving(), onclick: () => command("alarms", { alarms: plain() }) }) : null,
+    button(t("Remove"), { "data-key": "remove", why: notDriving(), onclick: () => command("alarms", { alarms: plain().filter(({ signal }) => signal !== alarm.signal) }) })));
 }

@@ -1,6 +1,7 @@
 // Buttons: a press arrives once, whatever the page shows meanwhile, and is answered.
 
 import { make } from "./elements.js";
+import { known, t } from "./language.js";
 import { say } from "./server.js";
 import { latest } from "./stream.js";
 
@@ -22,14 +23,14 @@ export function button(text, { why = "", onclick, ...attributes }) {
 export function notDriving() {
   const wheel = latest("wheel");
   if (!wheel || wheel.drives) return "";
-  return wheel.driver_present ? `${wheel.driver} drives: ask for the wheel first.` : "Nobody drives: ask for the wheel first.";
+  return wheel.driver_present ? t("{browser} drives: ask for the wheel first.", { browser: known(wheel.driver) }) : t("Nobody drives: ask for the wheel first.");
 }
 
 async function act(element, action) {
   if (element.hasAttribute("aria-busy")) return;
   element.setAttribute("aria-busy", "true");
   try {
-    if ((await action()) === "") say(`${element.textContent}: accepted.`, { isPassing: true });
+    if ((await action()) === "") say(t("{button}: accepted.", { button: element.textContent }), { isPassing: true });
   } finally {
     element.removeAttribute("aria-busy");
   }

@@ -2,18 +2,19 @@
 // curve. A curve has a gap where a value is missing, and where the state changes that its values are relative to.
 
 import { draw, make, number } from "./elements.js";
+import { t } from "./language.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 78, BOTTOM = 46, TOP = 12, RIGHT = 16;
 
 export function chart(points, { x, y, dots = true, other = [] }) {
   const isKnown = ([a, b]) => Number.isFinite(a) && Number.isFinite(b), known = [...points, ...other].filter(isKnown);
-  if (!known.length) return make("p", { class: "soft" }, "There are no values yet.");
+  if (!known.length) return make("p", { class: "soft" }, t("There are no values yet."));
   const spread = known.map(([a, b, s]) => [a, b - 2 * (s || 0), b + 2 * (s || 0)]);
   const across = axis(spread.map((p) => p[0])), up = axis(spread.flatMap((p) => [p[1], p[2]]));
   const column = (value) => LEFT + ((value - across.low) / (across.high - across.low)) * (WIDTH - LEFT - RIGHT);
   const row = (value) => HEIGHT - BOTTOM - ((value - up.low) / (up.high - up.low)) * (HEIGHT - BOTTOM - TOP);
   const path = (pairs) => pairs.map(([a, b]) => `${column(a).toFixed(1)},${row(b).toFixed(1)}`).join(" ");
-  const svg = draw("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${y} over ${x}` });
+  const svg = draw("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": t("{y} over {x}", { x, y }) });
   for (const value of across.ticks)
     svg.append(draw("line", { class: "grid", x1: column(value), x2: column(value), y1: TOP, y2: HEIGHT - BOTTOM }),
       draw("text", { x: column(value), y: HEIGHT - BOTTOM + 17, "text-anchor": "middle" }, number(value)));

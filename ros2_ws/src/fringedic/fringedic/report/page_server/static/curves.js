@@ -3,12 +3,13 @@
 import { chart } from "./chart.js";
 import { make, options, patch, scaled } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
+import { decimal, known, t } from "./language.js";
 import { tried } from "./server.js";
 import { listenShown, shown } from "./shown.js";
 
 const VALUES = {
-  step: ["step", 1], valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
-  strain: ["strain of the extensometer [µstrain]", 1e6],
+  step: [t("step"), 1], valid_fraction: [t("measured part [%]"), 100], rms_displacement: [t("RMS displacement [µm]"), 1e6],
+  strain: [t("strain of the extensometer [µstrain]"), 1e6],
 };
 const RELATIVE = ["rms_displacement", "strain"]; // to the reference step
 const SIGNAL = "signal ";
@@ -18,7 +19,7 @@ const kept = { x: `${SIGNAL}position`, y: `${SIGNAL}force` };
 function axis(key) {
   if (!key.startsWith(SIGNAL)) return [VALUES[key][0], (step) => scaled(step[key], VALUES[key][1])];
   const name = key.slice(SIGNAL.length), signal = (shown("signals") ?? []).find((each) => each.name === name);
-  return [signal ? `${name} [${signal.unit}]` : name, (step) => scaled(step.signals?.[name], 1 / (signal?.factor ?? 1))];
+  return [signal ? `${known(name)} [${signal.unit}]` : known(name), (step) => scaled(step.signals?.[name], 1 / (signal?.factor ?? 1))];
 }
 
 export function show(place) {
@@ -32,13 +33,13 @@ export function show(place) {
     const names = JSON.stringify(signals.map(({ name, unit, source }) => [name, unit, source]));
     if (names === known) return; // values alone have changed: a list that a person has opened stays
     known = names;
-    const offered = signals.map(({ name, unit, source }) => [SIGNAL + name, `${name} [${unit}]${source && ` (${source})`}`]);
+    const offered = signals.map(({ name, unit, source }) => [SIGNAL + name, `${known(name)} [${unit}]${source && ` (${source})`}`]);
     for (const [name, select] of Object.entries(choices)) {
       options(select, [...offered, ...Object.entries(VALUES).map(([key, [label]]) => [key, label])], kept[name]);
     }
   };
   const drawn = make("div"), table = make("table");
-  const hint = make("p", { class: "soft" }, "Place an extensometer on a map to see its strain here.");
+  const hint = make("p", { class: "soft" }, t("Place an extensometer on a map to see its strain here."));
   let steps = [];
   const paint = () => {
     const [[x, across], [y, up]] = [axis(kept.x), axis(kept.y)];
@@ -46,13 +47,13 @@ export function show(place) {
     const relative = [kept.x, kept.y].some((key) => RELATIVE.includes(key)), state = (step) => (relative ? step.reference_step : undefined);
     patch(drawn, chart(steps.map((step) => [across(step), up(step), sigma(step), state(step)]), { x, y }));
     hint.hidden = ![kept.x, kept.y].includes("strain") || extensometer.points.length === 2;
-    const columns = relative ? [[x, across], [y, up], ["relative to step", (step) => step.reference_step ?? NaN]] : [[x, across], [y, up]];
+    const columns = relative ? [[x, across], [y, up], [t("relative to step"), (step) => step.reference_step ?? NaN]] : [[x, across], [y, up]];
     patch(table, make("tr", {}, ...columns.map(([name]) => make("th", {}, name))),
       ...steps.map((step) => make("tr", {}, ...columns.map(([, value]) => make("td", {}, cell(value(step)))))));
   };
   place.replaceChildren(make("section", { class: "panel" },
-    make("div", { class: "row" }, make("label", {}, "Across", choices.x), make("label", {}, "Up", choices.y)), drawn, hint,
-    make("details", {}, make("summary", {}, "Values"), make("div", { class: "scroll" }, table))));
+    make("div", { class: "row" }, make("label", {}, t("Across"), choices.x), make("label", {}, t("Up"), choices.y)), drawn, hint,
+    make("details", {}, make("summary", {}, t("Values")), make("div", { class: "scroll" }, table))));
   offer([]);
   const ends = [listenShown("signals", (signals) => { offer(signals); paint(); }), listenShown("steps", async (found) => {
     steps = found;
@@ -65,4 +66,4 @@ export function show(place) {
   return () => ends.forEach((end) => end());
 }
 
-const cell = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "–");
+const cell = (value) => (Number.isFinite(value) ? decimal(Number(value.toPrecision(6))) : "–");

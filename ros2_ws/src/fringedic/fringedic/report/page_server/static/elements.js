@@ -1,5 +1,7 @@
 // Builds elements, and changes those that are shown: make("button", {class: "main", onclick: start}, "Start").
 
+import { decimal, t } from "./language.js";
+
 // The attributes that each element was made with: `patch` compares them, not the page, where a person types and opens.
 const made = new WeakMap();
 const lasting = new WeakSet();
@@ -93,7 +95,7 @@ export function number(value, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  return size >= 1e5 || size < 1e-3 ? value.toExponential(digits - 1) : String(Number(value.toPrecision(digits)));
+  return decimal(size >= 1e5 || size < 1e-3 ? value.toExponential(digits - 1) : Number(value.toPrecision(digits)));
 }
 
 // A value in another unit; what is missing (null in a message) stays missing, and is never 0.
@@ -101,8 +103,8 @@ export const scaled = (value, factor) => (value === null || value === undefined 
 
 // A value and its standard deviation with two digits of it, as in "12.34 ± 0.56 µm".
 export function withSigma(value, sigma, unit) {
-  if (!Number.isFinite(value)) return "not measured";
+  if (!Number.isFinite(value)) return t("not measured");
   if (!Number.isFinite(sigma) || sigma <= 0) return `${number(value, 4)} ${unit}`.trim();
   const digits = Math.min(Math.max(1 - Math.floor(Math.log10(sigma)), 0), 9);
-  return `${value.toFixed(digits)} ± ${sigma.toFixed(digits)} ${unit}`.trim();
+  return `${decimal(value.toFixed(digits))} ± ${decimal(sigma.toFixed(digits))} ${unit}`.trim();
 }

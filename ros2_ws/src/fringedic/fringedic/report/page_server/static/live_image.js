@@ -1,11 +1,12 @@
 // The live image of the camera with the region to be measured; saturated pixels arrive in red.
 
 import { draw, make } from "./elements.js";
+import { t } from "./language.js";
 import { listen } from "./stream.js";
 
 export class LiveImage {
   constructor() {
-    this.canvas = make("canvas", { class: "camera", role: "img", "aria-label": "Image of the camera", width: 4, height: 3 });
+    this.canvas = make("canvas", { class: "camera", role: "img", "aria-label": t("Image of the camera"), width: 4, height: 3 });
     this.marks = draw("svg", { preserveAspectRatio: "none" });
     this.element = make("div", { class: "picture" }, this.canvas, this.marks);
     this.polygons = [];

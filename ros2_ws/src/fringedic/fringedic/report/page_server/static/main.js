@@ -2,16 +2,25 @@
 
 import "./help.js";
 import { button } from "./buttons.js";
-import { make, patch } from "./elements.js";
+import { make, options, patch } from "./elements.js";
+import { choices, choose, known, language, t } from "./language.js";
 import { isBusy, questionParts } from "./procedure.js";
 import { command, forgetRefusal, newest, openTest, say, tried } from "./server.js";
 import { shownTest } from "./shown.js";
 import { connect, latest, listen } from "./stream.js";
 
-const OF_A_RIG = { tests: "Tests", setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate", compare: "Compare", log: "Log" };
+const OF_A_RIG = { tests: t("Tests"), setup: t("Set up"), live: t("Live"), run: t("Run"), maps: t("Maps"), curves: t("Curves"), space: "3D", evaluate: t("Evaluate"), compare: t("Compare"), log: t("Log") };
 const LOOKING = ["maps", "curves", "space"]; // the views that show an earlier test, too
-const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D", evaluate: "Evaluate" };
+const OF_A_RECORDING = { maps: t("Maps"), curves: t("Curves"), space: "3D", evaluate: t("Evaluate") };
 const place = document.getElementById("view"), holdButton = document.getElementById("hold");
+document.getElementById("views").setAttribute("aria-label", t("Views"));
+document.getElementById("question").setAttribute("aria-label", t("Question"));
+holdButton.textContent = t("Request hold");
+document.getElementById("hold-note").prepend(t("The button asks the machine to stop and hold."), " ", make("strong", {}, t("It is no emergency stop: use the machine’s own.")), " ");
+document.getElementById("no-hold").textContent = t("Now no node of the machine runs, so that nothing would receive it.");
+const languageChoice = make("select", { id: "language", "aria-label": t("Language"), onchange: () => choose(languageChoice.value) });
+options(languageChoice, choices, language);
+document.getElementById("wheel").after(languageChoice);
 const chosen = newest(), TEST = "&test="; // in the address of a view, before the name of an earlier test
 let leave = () => {}, current = "", state = "", wantedTest = ""; // the last one: as the address names it
 
@@ -21,9 +30,9 @@ function views() {
 
 async function route() {
   if (!latest("rig")) return;
-  const known = views(), [asked, wanted = ""] = location.hash.slice(1).split(TEST), name = asked in known ? asked : Object.keys(known)[0];
+  const shownViews = views(), [asked, wanted = ""] = location.hash.slice(1).split(TEST), name = asked in shownViews ? asked : Object.keys(shownViews)[0];
   const test = LOOKING.includes(name) ? decodeURIComponent(wanted) : "";
-  patch(document.getElementById("views"), ...Object.entries(known).map(([key, text]) =>
+  patch(document.getElementById("views"), ...Object.entries(shownViews).map(([key, text]) =>
     make("a", { href: `#${key}`, "data-key": key, "aria-current": key === name ? "page" : null }, text)));
   const isNew = test !== wantedTest;
   wantedTest = test;
@@ -46,8 +55,8 @@ async function route() {
 function takeOpened(name) {
   const bar = document.getElementById("opened"), test = shownTest();
   bar.hidden = !test || !LOOKING.includes(name);
-  patch(bar, ...(bar.hidden ? [] : [make("span", {}, `Earlier test: ${titleOf(test)}`),
-    button("Back to the present test", { id: "close-test", onclick: () => { openTest(""); location.hash = `#${name}`; takeOpened(name); } })]));
+  patch(bar, ...(bar.hidden ? [] : [make("span", {}, t("Earlier test: {test}", { test: titleOf(test) })),
+    button(t("Back to the present test"), { id: "close-test", onclick: () => { openTest(""); location.hash = `#${name}`; takeOpened(name); } })]));
 }
 
 const titleOf = (name) => {
@@ -63,8 +72,8 @@ function takeRig(rig) {
   const live = rig.kind === "rig", isOffered = live && (rig.load_frame || rig.machine);
   holdButton.hidden = document.getElementById("hold-note").hidden = !isOffered;
   takeMachine();
-  if (!live) patch(document.getElementById("summary"), "recording",
-    rig.report ? make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, " report") : "");
+  if (!live) patch(document.getElementById("summary"), t("recording"),
+    rig.report ? make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, ` ${t("report")}`) : "");
   route();
 }
 
@@ -73,7 +82,7 @@ function takeRig(rig) {
 function noMachine() {
   const rig = latest("rig");
   if (!latest("connected") || !rig?.operated || rig.machine || isBusy(latest("procedure"))) return "";
-  return "No node of the machine runs, so that nothing would receive the request: stop the machine at its own controls.";
+  return t("No node of the machine runs, so that nothing would receive the request: stop the machine at its own controls.");
 }
 
 function takeMachine() {
@@ -86,15 +95,15 @@ function takeMachine() {
 }
 
 function takeWheel(wheel) {
-  const give = button(wheel.asking ? `Hand over to ${wheel.asking}` : "Hand over", { id: "give", onclick: () => command("wheel", { action: "give" }) });
+  const give = button(wheel.asking ? t("Hand over to {browser}", { browser: known(wheel.asking) }) : t("Hand over"), { id: "give", onclick: () => command("wheel", { action: "give" }) });
   const waits = wheel.asked && wheel.driver_present; // a driver who has left is not waited for
-  const ask = button(waits ? "Asked for the wheel" : "Ask for the wheel", { id: "ask", onclick: () => command("wheel", { action: "ask" }),
-    why: waits ? `${wheel.driver} has been asked: wait until the wheel is handed over.` : "" });
-  const who = wheel.drives ? "You drive" : wheel.driver_present ? `${wheel.driver} drives` : "Nobody drives";
+  const ask = button(waits ? t("Asked for the wheel") : t("Ask for the wheel"), { id: "ask", onclick: () => command("wheel", { action: "ask" }),
+    why: waits ? t("{browser} has been asked: wait until the wheel is handed over.", { browser: known(wheel.driver) }) : "" });
+  const who = wheel.drives ? t("You drive") : wheel.driver_present ? t("{browser} drives", { browser: known(wheel.driver) }) : t("Nobody drives");
   patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
 }
 
-const STATES = ["", "runs", "pauses after this step", "is paused", "stops", "has ended", "has failed"];
+const STATES = ["", t("runs"), t("pauses after this step"), t("is paused"), t("stops"), t("has ended"), t("has failed")];
 
 function takeProcedure(procedure) {
   const question = document.getElementById("question"), parts = questionParts(procedure);
@@ -105,8 +114,8 @@ function takeProcedure(procedure) {
   const now = `${procedure.procedure} ${procedure.state}`;
   if (state && now !== state) forgetRefusal();
   state = now;
-  const step = procedure.procedure === "run" && procedure.steps ? `, step ${procedure.step} (last: ${procedure.steps - 1})` : "";
-  document.getElementById("summary").textContent = procedure.procedure ? `${procedure.title} ${STATES[procedure.state]}${step}` : "ready";
+  const step = procedure.procedure === "run" && procedure.steps ? `, ${t("step {step} (last: {last})", { step: procedure.step, last: procedure.steps - 1 })}` : "";
+  document.getElementById("summary").textContent = procedure.procedure ? `${known(procedure.title)} ${STATES[procedure.state]}${step}` : t("ready");
 }
 
 // For everybody, and never held back while something could receive it.
@@ -116,11 +125,11 @@ listen("rig", takeRig);
 listen("wheel", (wheel) => { takeWheel(wheel); takeProcedure(latest("procedure")); });
 listen("procedure", takeProcedure);
 listen("tests", () => { if (latest("rig")) takeRig(latest("rig")); });
-listen("connected", (is) => say(is ? "" : "The page has lost its server. The measurement goes on without it; the page connects again by itself."));
+listen("connected", (is) => say(is ? "" : t("The page has lost its server. The measurement goes on without it; the page connects again by itself.")));
 listen("alarms", (alarms) => {
-  const reached = document.getElementById("reached"), words = (alarms ?? []).map((each) => each.reached).filter(Boolean);
+  const reached = document.getElementById("reached"), words = (alarms ?? []).map((each) => known(each.reached)).filter(Boolean);
   reached.hidden = !words.length;
   reached.textContent = words.join("; ");
 });
-listen("refused", say);
+listen("refused", (why) => say(known(why)));
 connect();

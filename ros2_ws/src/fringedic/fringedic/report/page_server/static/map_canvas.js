@@ -1,6 +1,7 @@
 // A map as an image: float32 values coloured in the browser, with the pixel under the pointer.
 
 import { draw, make } from "./elements.js";
+import { t } from "./language.js";
 
 const LARGEST = 40; // magnification
 const DRAGGED_PX = 4; // on the screen, from which a press moves the map and is no click
@@ -75,7 +76,7 @@ export class MapCanvas {
     const { canvas } = this, { values, rows, columns } = tile;
     [canvas.width, canvas.height] = [columns, rows];
     this.element.style.setProperty("--aspect", columns / rows);
-    canvas.setAttribute("aria-label", `${label}; the arrow keys move the pointer, Enter selects a point, plus and minus magnify`);
+    canvas.setAttribute("aria-label", t("{map}; the arrow keys move the pointer, Enter selects a point, plus and minus magnify", { map: label }));
     this.marks.setAttribute("viewBox", `0 0 ${columns * tile.spacing} ${rows * tile.spacing}`);
     const image = new ImageData(columns, rows), scale = 256 / (high - low || 1);
     for (let i = 0; i < values.length; i++) {

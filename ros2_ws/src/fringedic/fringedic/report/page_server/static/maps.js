@@ -4,6 +4,7 @@ import { chart } from "./chart.js";
 import { make, number, options, scaled, withSigma } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
 import { isolines, levelsBetween } from "./isolines.js";
+import { decimal, known, t } from "./language.js";
 import { colourBar, MapCanvas, median, usualRange, valueAt } from "./map_canvas.js";
 import { MarksPanel } from "./marks.js";
 import { numberField } from "./numbers.js";
@@ -12,7 +13,7 @@ import { listenShown, shownTest } from "./shown.js";
 
 const PREFERRED = ["v", "displacement_y", "shape_z"];
 const kept = { quantity: "", palette: "viridis", tool: "look", follow: true, step: null, test: "", over: false, lines: false };
-const TOOLS = [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"], ["point", "point"], ["area", "area (double click closes it)"]];
+const TOOLS = [["look", t("read values")], ["profile", t("profile along a line")], ["gauge", t("extensometer between two points")], ["point", t("point")], ["area", t("area (double click closes it)")]];
 const MARK_OF = { profile: "line", gauge: "gauge", point: "point", area: "area" }; // what a tool draws
 const PLAY_MS = 400; // from one step to the next
 const DIVERGING = "RdBu_r"; // its middle colour is zero
@@ -35,11 +36,11 @@ class MapsView {
     this.map = new MapCanvas((place) => this.read(place), (place, clicks) => this.click(place, clicks));
     this.marks = new MarksPanel(() => this.map.mark(this.points, { kept: this.marks?.marks, closed: this.closed }));
     this.step = make("select", { id: "step", onchange: () => this.goTo(this.step.selectedIndex) });
-    this.slider = make("input", { type: "range", id: "slider", min: 0, max: 0, "aria-label": "Step", oninput: () => this.goTo(Number(this.slider.value)) });
-    this.player = make("button", { type: "button", id: "play", onclick: () => this.play() }, "Play");
+    this.slider = make("input", { type: "range", id: "slider", min: 0, max: 0, "aria-label": t("Step"), oninput: () => this.goTo(Number(this.slider.value)) });
+    this.player = make("button", { type: "button", id: "play", onclick: () => this.play() }, t("Play"));
     this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.takeSteps(this.steps); } });
     this.palette = make("select", { id: "palette", onchange: () => { kept.palette = this.palette.value; if (!this.fixed) this.auto(); this.paint(); } });
-    options(this.palette, [["viridis", "viridis"], ["RdBu_r", "blue to red"], ["gray", "grey"]], kept.palette);
+    options(this.palette, [["viridis", "viridis"], ["RdBu_r", t("blue to red")], ["gray", t("grey")]], kept.palette);
     const fix = () => { this.fixed = true; this.paint(); }; // the range then stays for the next steps
     this.low = numberField({ id: "low", changed: fix });
     this.high = numberField({ id: "high", changed: fix });
@@ -47,7 +48,7 @@ class MapsView {
     this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints(this.earlier()); } });
     options(this.tool, TOOLS, kept.tool);
     const box = (id, key, text, changed) => make("label", {}, make("input", { type: "checkbox", id, checked: kept[key], onchange: ({ target }) => { kept[key] = target.checked; changed(); } }), text);
-    this.boxes = [box("over", "over", "over the image", () => this.paintBelow()), box("isolines", "lines", "isolines", () => this.paint())];
+    this.boxes = [box("over", "over", t("over the image"), () => this.paintBelow()), box("isolines", "lines", t("isolines"), () => this.paint())];
     this.position = make("p", { class: "soft", id: "position" });
     this.linesText = make("p", { class: "soft", id: "isoline-step" });
     this.readout = make("p", { class: "readout", id: "readout", role: "status" });
@@ -70,9 +71,9 @@ class MapsView {
   controls() {
     const zoom = (id, text, factor, name) => make("button", { type: "button", id, "aria-label": name, onclick: () => this.map.zoom(factor) }, text);
     return make("div", {},
-      make("div", { class: "row" }, make("label", {}, "Step", this.step), make("label", {}, "Map", this.quantity),
-        make("label", {}, "Colours", this.palette), make("label", {}, "Tool", this.tool)),
-      make("div", { class: "row" }, this.slider, this.player, ...this.boxes, zoom("zoom-in", "+", 1.5, "Magnify"), zoom("zoom-out", "−", 1 / 1.5, "Reduce"), zoom("zoom-whole", "Whole map", 0, "Whole map")));
+      make("div", { class: "row" }, make("label", {}, t("Step"), this.step), make("label", {}, t("Map"), this.quantity),
+        make("label", {}, t("Colours"), this.palette), make("label", {}, t("Tool"), this.tool)),
+      make("div", { class: "row" }, this.slider, this.player, ...this.boxes, zoom("zoom-in", "+", 1.5, t("Magnify")), zoom("zoom-out", "−", 1 / 1.5, t("Reduce")), zoom("zoom-whole", t("Whole map"), 0, t("Whole map"))));
   }
 
   // Shows the step with this number in the list; the last one is followed.
@@ -89,9 +90,9 @@ class MapsView {
     const isPlaying = Boolean(this.playing);
     clearInterval(this.playing);
     this.playing = null;
-    this.player.textContent = "Play";
+    this.player.textContent = t("Play");
     if (isPlaying || this.step.length < 2) return;
-    this.player.textContent = "Pause";
+    this.player.textContent = t("Pause");
     if (this.step.selectedIndex === this.step.length - 1) this.goTo(0);
     this.playing = setInterval(() => {
       if (this.loading) return;
@@ -103,14 +104,14 @@ class MapsView {
   scale() {
     return make("div", {},
       make("div", { class: "bar" }, this.lowText = make("span"), this.bar, this.highText = make("span")), this.linesText,
-      make("div", { class: "row" }, make("label", {}, "from", this.low.input), make("label", {}, "to", this.high.input),
-        make("button", { onclick: () => { this.auto(); this.paint(); } }, "Range of this map")));
+      make("div", { class: "row" }, make("label", {}, t("from"), this.low.input), make("label", {}, t("to"), this.high.input),
+        make("button", { onclick: () => { this.auto(); this.paint(); } }, t("Range of this map"))));
   }
 
   takeQuantities(found) {
     this.quantities = found;
     const first = PREFERRED.find((name) => found.some((each) => each.name === name));
-    options(this.quantity, found.map(({ name, meaning }) => [name, `${name}: ${meaning}`]), kept.quantity || first);
+    options(this.quantity, found.map(({ name, meaning }) => [name, `${name}: ${known(meaning)}`]), kept.quantity || first);
     this.takeSteps(this.steps);
   }
 
@@ -122,12 +123,12 @@ class MapsView {
     const mapped = steps.filter((step) => step.mapped >= level).map((step) => [step.step, String(step.step)]);
     if (kept.follow) kept.step = mapped.at(-1)?.[0] ?? null;
     const isThere = kept.step === null || mapped.some(([step]) => String(step) === String(kept.step));
-    options(this.step, isThere ? mapped : [...mapped, [kept.step, `${kept.step}: has no such map`]], kept.step);
+    options(this.step, isThere ? mapped : [...mapped, [kept.step, t("{step}: has no such map", { step: kept.step })]], kept.step);
     this.slider.max = Math.max(mapped.length - 1, 0);
     this.slider.value = this.step.selectedIndex;
     this.player.disabled = mapped.length < 2;
-    if (!mapped.length) this.readout.textContent = "No step has been measured yet.";
-    else if (!isThere) this.forget(`Step ${kept.step} has no map ${this.quantity.value}.`);
+    if (!mapped.length) this.readout.textContent = t("No step has been measured yet.");
+    else if (!isThere) this.forget(t("Step {step} has no map {map}.", { step: kept.step, map: this.quantity.value }));
     if (isThere) this.load();
   }
 
@@ -178,7 +179,7 @@ class MapsView {
     const image = kept.over && step !== undefined ? (await this.once(reference, "texture")) ?? (await this.once(step, "texture")) : null;
     if (step !== this.shown) return;
     this.map.showBelow(image, image ? usualRange(image.values) : undefined);
-    if (kept.over && step !== undefined && !image) this.position.textContent = "The image of the surface is not kept for this step.";
+    if (kept.over && step !== undefined && !image) this.position.textContent = t("The image of the surface is not kept for this step.");
   }
 
   // The map, those of its standard deviation and smoothing error if there are any, and the palettes.
@@ -198,7 +199,7 @@ class MapsView {
     const sigma = this.sigma ? median(this.sigma.values) : NaN, least = LEAST_SIGMAS * sigma;
     if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
     if (this.palette.value === DIVERGING) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
-    const text = (value) => String(Number((value / this.chosen.factor).toPrecision(4)));
+    const text = (value) => decimal(Number((value / this.chosen.factor).toPrecision(4)));
     [this.low.input.value, this.high.input.value] = [text(low), text(high)];
   }
 
@@ -206,9 +207,9 @@ class MapsView {
     const [low, high] = [this.low.found(), this.high.found()];
     if (!this.values || !Number.isFinite(low) || !Number.isFinite(high)) return;
     const { factor, unit, meaning } = this.chosen, colours = this.colours[this.palette.value];
-    this.map.show(this.values, colours, low * factor, high * factor, `${meaning}, step ${this.shown}`);
+    this.map.show(this.values, colours, low * factor, high * factor, t("{map}, step {step}", { map: known(meaning), step: this.shown }));
     const { pace, levels } = kept.lines ? levelsBetween(low, high) : { levels: [] };
-    this.linesText.textContent = levels.length ? `Isolines every ${number(pace)} ${unit}.` : "";
+    this.linesText.textContent = levels.length ? t("Isolines every {pace}.", { pace: `${number(pace)} ${unit}` }) : "";
     const lines = levels.length ? isolines(this.values, levels.map((each) => each * factor)) : "";
     this.map.mark(this.points, { kept: this.marks.marks, lines, closed: this.closed });
     this.lowText.textContent = `${number(low)} ${unit}`;
@@ -219,12 +220,12 @@ class MapsView {
   read(place) {
     const millimetres = place && this.places ? this.places.map((each) => scaled(valueAt(each, place), 1e3)) : [];
     this.position.textContent = millimetres.every(Number.isFinite) && millimetres.length ? `x = ${number(millimetres[0], 4)} mm, y = ${number(millimetres[1], 4)} mm` : "";
-    if (!place || !this.values) { this.readout.textContent = "Point at the map: value ± standard deviation"; return; }
+    if (!place || !this.values) { this.readout.textContent = t("Point at the map: value ± standard deviation"); return; }
     const { factor, unit, name } = this.chosen, sigma = this.sigma ? valueAt(this.sigma, place) / factor : NaN;
     const smoothed = this.resolution ? valueAt(this.resolution, place) / factor : NaN;
     const value = withSigma(valueAt(this.values, place) / factor, sigma, unit);
-    const errors = sigma > 0 && Number.isFinite(smoothed) ? ` noise, up to ${number(smoothed, 2)} ${unit} smoothing,` : "";
-    this.readout.textContent = `${name} = ${value}${errors} at column ${place.column}, row ${place.row}`;
+    const read = sigma > 0 && Number.isFinite(smoothed) ? t("{value} noise, up to {error} smoothing,", { value, error: `${number(smoothed, 2)} ${unit}` }) : value;
+    this.readout.textContent = `${name} = ${t("{value} at column {column}, row {row}", { value: read, ...place })}`;
   }
 
   click({ column, row }, clicks) {
@@ -247,10 +248,10 @@ class MapsView {
     if (tool === "gauge") extensometer.points = points;
     this.map.mark(points, { closed });
     this.marks.draw(points.length >= least ? MARK_OF[tool] : "", points);
-    const asked = { look: "Choose a tool to draw a profile, an extensometer, a point or an area.", profile: "Click both ends of the line.", gauge: "Click both gauge points.",
-      point: "Click a point, then keep it as a mark.", area: "Click the corners; then keep the area as a mark." };
+    const asked = { look: t("Choose a tool to draw a profile, an extensometer, a point or an area."), profile: t("Click both ends of the line."), gauge: t("Click both gauge points."),
+      point: t("Click a point, then keep it as a mark."), area: t("Click the corners; then keep the area as a mark.") };
     this.probe();
-    if (points.length < 2 || !(tool in this.probes())) this.result.replaceChildren(make("h2", {}, "Probe"), make("p", { class: "soft" }, asked[tool]));
+    if (points.length < 2 || !(tool in this.probes())) this.result.replaceChildren(make("h2", {}, t("Probe")), make("p", { class: "soft" }, asked[tool]));
   }
 
   probes() { return { profile: () => this.profile(), gauge: () => this.extensometer() }; }
@@ -265,16 +266,16 @@ class MapsView {
     const { name, unit, factor, meaning } = this.chosen, found = await line(this.shown, name, ...this.points);
     const inMillimetres = found.distance?.some((each) => each !== null), along = inMillimetres ? found.distance.map((each) => scaled(each, 1e3)) : found.position;
     const points = along.map((at, k) => [at, scaled(found.value[k], 1 / factor), scaled(found.sigma?.[k], 1 / factor)]);
-    return [make("h2", {}, `Profile of ${name}`), make("p", { class: "soft" }, `${meaning}; the band is ± 2 standard deviations.`),
-      chart(points, { x: `distance [${inMillimetres ? "mm" : "px"}]`, y: `${name} [${unit}]` })];
+    return [make("h2", {}, t("Profile of {map}", { map: name })), make("p", { class: "soft" }, t("{map}; the band is ± 2 standard deviations.", { map: known(meaning) })),
+      chart(points, { x: t("distance [{unit}]", { unit: inMillimetres ? "mm" : "px" }), y: `${name} [${unit}]` })];
   }
 
   async extensometer() {
     const found = await strains();
     const points = found.map(({ step, strain, sigma_strain }) => [step, scaled(strain, 1e6), scaled(sigma_strain, 1e6)]);
     const { strain, sigma_strain, length } = found.find(({ step }) => step === Number(this.shown)) ?? {};
-    return [make("h2", {}, "Extensometer"),
-      make("p", { id: "strain" }, `Step ${this.shown}: ${withSigma(scaled(strain, 1e6), scaled(sigma_strain, 1e6), "µstrain")}, length ${number(scaled(length, 1e3), 5)} mm`),
-      chart(points, { x: "step", y: "strain [µstrain]" })];
+    return [make("h2", {}, t("Extensometer")),
+      make("p", { id: "strain" }, t("Step {step}: {strain}, length {length} mm", { step: this.shown, strain: withSigma(scaled(strain, 1e6), scaled(sigma_strain, 1e6), "µstrain"), length: number(scaled(length, 1e3), 5) })),
+      chart(points, { x: t("step"), y: t("strain [µstrain]") })];
   }
 }

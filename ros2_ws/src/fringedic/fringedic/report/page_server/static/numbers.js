@@ -1,17 +1,19 @@
 // Numbers as people type them: with a decimal point or a decimal comma. What has two meanings is refused.
 
 import { make } from "./elements.js";
+import { decimal, t, usesComma } from "./language.js";
 
 const PLAIN = /^[-+]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?$/i;
-const THOUSANDS = /^[-+]?[1-9]\d{0,2},\d{3}$/; // 1,234 is 1234 in one country, and 1.234 in another
+// 1,234 is 1234 in one country, and 1.234 in another: the separator that the language does not have for decimals is refused
+const THOUSANDS = usesComma ? /^[-+]?[1-9]\d{0,2}\.\d{3}$/ : /^[-+]?[1-9]\d{0,2},\d{3}$/;
 
 // The number in a text, or the sentence that says how to write it.
 export function parseNumber(text) {
   const typed = text.trim().replace("−", "-");
-  if (/\d\s+\d/.test(typed)) return { problem: `“${typed}” has a space: write one number` };
-  if ((typed.match(/[.,]/g) ?? []).length > 1) return { problem: `“${typed}” has several separators: write thousands without them` };
-  if (THOUSANDS.test(typed)) return { problem: `“${typed}” has two meanings: write ${typed.replace(",", ".")} or ${typed.replace(",", "")}` };
-  if (!PLAIN.test(typed) || !Number.isFinite(Number(typed.replace(",", ".")))) return { problem: `“${typed}” is no number` };
+  if (/\d\s+\d/.test(typed)) return { problem: t("“{typed}” has a space: write one number", { typed }) };
+  if ((typed.match(/[.,]/g) ?? []).length > 1) return { problem: t("“{typed}” has several separators: write thousands without them", { typed }) };
+  if (THOUSANDS.test(typed)) return { problem: t("“{typed}” has two meanings: write {decimal} or {thousands}", { typed, decimal: typed.replace(/[.,]/, usesComma ? "," : "."), thousands: typed.replace(/[.,]/, "") }) };
+  if (!PLAIN.test(typed) || !Number.isFinite(Number(typed.replace(",", ".")))) return { problem: t("“{typed}” is no number", { typed }) };
   return { value: Number(typed.replace(",", ".")) };
 }
 
@@ -23,11 +25,11 @@ export function parseNumbers(text, { whole = false } = {}) {
   const values = [];
   for (const part of typed.split(separators).filter(Boolean)) {
     if (!typed.includes(";") && !whole && part.includes(",")) {
-      return { problem: `“${part}” is one number with a decimal comma, or several: write ${part.replace(",", ".")}, or put semicolons between the numbers` };
+      return { problem: t("“{part}” is one number with a decimal comma, or several: write {decimal}, or put semicolons between the numbers", { part, decimal: part.replace(",", ".") }) };
     }
     const { value, problem } = parseNumber(part);
     if (problem) return { problem };
-    if (whole && !Number.isInteger(value)) return { problem: `“${part}” is no whole number` };
+    if (whole && !Number.isInteger(value)) return { problem: t("“{typed}” is no whole number", { typed: part }) };
     values.push(value);
   }
   return { values };
@@ -39,9 +41,9 @@ export function numberField({ min = -Infinity, max = Infinity, odd = false, whol
   return field(attributes, changed, (text) => {
     const { value, problem } = parseNumber(text);
     if (problem) return { problem };
-    if (value < min || value > max) return { problem: `${value} is outside ${range(min, max)}` };
-    if ((whole || odd) && !Number.isInteger(value)) return { problem: `${value} is no whole number` };
-    return odd && value % 2 === 0 ? { problem: `${value} is even: write an odd number` } : { value };
+    if (value < min || value > max) return { problem: outside(value, min, max) };
+    if ((whole || odd) && !Number.isInteger(value)) return { problem: t("“{typed}” is no whole number", { typed: decimal(value) }) };
+    return odd && value % 2 === 0 ? { problem: t("{value} is even: write an odd number", { value }) } : { value };
   });
 }
 
@@ -50,13 +52,13 @@ export function numbersField({ count, whole, changed, ...attributes }) {
   return field(attributes, changed, (text) => {
     const { values, problem } = parseNumbers(text, { whole });
     if (problem) return { problem };
-    return count && values.length !== count ? { problem: `these are ${values.length} numbers: write ${count}` } : { value: values };
+    return count && values.length !== count ? { problem: t("numbers: {found}, but {count} are needed", { found: values.length, count }) } : { value: values };
   });
 }
 
 function field({ value, ...attributes }, changed, read) {
   const input = make("input", { type: "text", inputmode: "decimal", autocomplete: "off", class: "number", ...attributes });
-  input.value = value ?? "";
+  input.value = typeof value === "number" ? decimal(value) : value ?? "";
   const found = () => {
     const { value: number = undefined, problem = "" } = input.value.trim() ? read(input.value) : { value: null };
     input.setCustomValidity(problem);
@@ -68,4 +70,8 @@ function field({ value, ...attributes }, changed, read) {
   return { input, found };
 }
 
-const range = (min, max) => (max === Infinity ? `${min} and more` : min === -Infinity ? `${max} and less` : `${min} to ${max}`);
+function outside(number, smallest, largest) {
+  const [value, min, max] = [number, smallest, largest].map(decimal);
+  if (largest === Infinity) return t("{value} is below {min}", { value, min });
+  return smallest === -Infinity ? t("{value} is above {max}", { value, max }) : t("{value} is outside {min} to {max}", { value, min, max });
+}

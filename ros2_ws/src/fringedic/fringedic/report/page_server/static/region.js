@@ -2,6 +2,7 @@
 
 import { button, notDriving } from "./buttons.js";
 import { make, patch } from "./elements.js";
+import { t } from "./language.js";
 import { LiveImage } from "./live_image.js";
 import { cannotStart, RUNNING } from "./procedure.js";
 import { say, start } from "./server.js";
@@ -79,7 +80,7 @@ export class RegionEditor {
     const { open } = drawn;
     if (open?.points.length >= 3) {
       if (crossesItself(open.points)) {
-        say("The polygon crosses itself: move or undo a corner.");
+        say(t("The polygon crosses itself: move or undo a corner."));
         return false;
       }
       drawn.polygons.push({ points: open.points, hole: Boolean(open.hole) });
@@ -152,7 +153,7 @@ export class RegionEditor {
       const [polygon, number] = held.corner, { open } = drawn;
       if (held.moved && !polygon.open && crossesItself(polygon.points)) {
         polygon.points[number] = held.before;
-        say("The polygon would cross itself: the corner stays where it was.");
+        say(t("The polygon would cross itself: the corner stays where it was."));
       } else if (!held.moved && polygon === open && number === 0 && open.points.length >= 3) {
         this.close(); // a click on the first corner
       } else if (!held.moved && polygon === open) return this.add(place); // the second click of a double click
@@ -192,23 +193,23 @@ export class RegionEditor {
     const { open } = drawn, tool = (id, text, action, why = "") => button(text, { id, why, onclick: () => { action(); this.paint(); } });
     const isOpen = (hole, rectangle) => (Boolean(open) && Boolean(open.hole) === hole && Boolean(open.rectangle) === rectangle ? { "aria-pressed": "true" } : {});
     const kind = (id, text, hole, rectangle) => button(text, { id, ...isOpen(hole, rectangle), onclick: () => { this.begin({ hole, rectangle }); this.paint(); } });
-    patch(this.tools, kind("polygon", "Polygon", false, false), kind("rectangle", "Rectangle", false, true), kind("hole", "Hole", true, false),
-      tool("undo", "Undo", () => this.undo()), tool("remove-corner", "Delete corner", () => this.remove(), this.chosen ? "" : "Click a corner first."),
-      tool("clear", "Clear", () => this.clear()),
-      isWhite() ? null : button("Show white light", { id: "region-white", why: cannotStart(), onclick: showWhite }),
-      button("Use this region", { id: "save-region", class: "main", why: cannotStart() || notDriving(), onclick: () => this.save() }));
-    const corners = open?.points.length ?? 0, what = open?.hole ? "Hole" : open?.rectangle ? "Rectangle" : "Polygon";
-    const how = open?.rectangle ? "click two opposite corners" : "click the corners, and double-click the last one";
-    const still = isWhite() ? "" : drawn.white ? "This is the last image in white light. " : "The corners are seen best in white light. ";
-    this.words.textContent = !this.image.size ? "Start the live view, which shows the image to draw on." : still + (open ? `${what}, ${corners} corners: ${how}; or use the arrow keys and Enter.`
-      : `${drawn.polygons.length} polygons. Drag a corner to move it, click an edge to add one.`);
+    patch(this.tools, kind("polygon", t("Polygon"), false, false), kind("rectangle", t("Rectangle"), false, true), kind("hole", t("Hole"), true, false),
+      tool("undo", t("Undo"), () => this.undo()), tool("remove-corner", t("Delete corner"), () => this.remove(), this.chosen ? "" : t("Click a corner first.")),
+      tool("clear", t("Clear"), () => this.clear()),
+      isWhite() ? null : button(t("Show white light"), { id: "region-white", why: cannotStart(), onclick: showWhite }),
+      button(t("Use this region"), { id: "save-region", class: "main", why: cannotStart() || notDriving(), onclick: () => this.save() }));
+    const corners = open?.points.length ?? 0, what = open?.hole ? t("Hole") : open?.rectangle ? t("Rectangle") : t("Polygon");
+    const how = open?.rectangle ? t("click two opposite corners") : t("click the corners, and double-click the last one");
+    const still = isWhite() ? "" : drawn.white ? `${t("This is the last image in white light.")} ` : `${t("The corners are seen best in white light.")} `;
+    this.words.textContent = !this.image.size ? t("Start the live view, which shows the image to draw on.") : still + (open ? t("{shape}, corners: {corners}. Now {how}; or use the arrow keys and Enter.", { shape: what, corners, how })
+      : t("Polygons: {count}. Drag a corner to move it, click an edge to add one.", { count: drawn.polygons.length }));
   }
 
   async save() {
-    if (!this.image.size) return say("There is no image yet: start the live view.");
+    if (!this.image.size) return say(t("There is no image yet: start the live view."));
     if (!this.close()) return undefined;
     this.paint();
-    if (!drawn.polygons.some(({ hole }) => !hole)) return say("The region has no polygon of three corners yet: click its corners on the image.");
+    if (!drawn.polygons.some(({ hole }) => !hole)) return say(t("The region has no polygon of three corners yet: click its corners on the image."));
     const [width, height] = this.image.size, saved = JSON.stringify(drawn.polygons);
     const answer = await start({ procedure: "region", text: JSON.stringify({ width, height, polygons: drawn.polygons }) });
     if (answer !== null) drawn.of = saved;

@@ -1,5 +1,6 @@
 // Requests to the server; a refusal is shown as its sentence.
 
+import { known, language, spoken, t } from "./language.js";
 import { lookAt, shownTest } from "./shown.js";
 import { next } from "./stream.js";
 
@@ -8,10 +9,11 @@ const PASSING_MS = 4000;
 const CHANGED_MS = 1000; // longest time between the answer to a start and the message of its procedure
 let isRefusal = false, passing = 0;
 
-// Shows a sentence; one that `isPassing` vanishes by itself, a refusal when the procedure changes.
-export function say(text, { refusal = false, isPassing = false } = {}) {
+// Shows a sentence, of the server in its language; one that `isPassing` vanishes by itself, a refusal when the procedure changes.
+export function say(text, { refusal = false, isPassing = false, lang = language } = {}) {
   const place = document.getElementById("message");
   place.textContent = text;
+  place.lang = lang;
   place.hidden = !text;
   isRefusal = refusal;
   clearTimeout(passing);
@@ -25,15 +27,15 @@ export function forgetRefusal() {
 
 // Sends a command; returns the sentence of its answer, which is shown, or null when it is refused.
 export async function command(name, content = {}) {
-  const waiting = setTimeout(() => say("Sent; the rig has not answered yet."), ACKNOWLEDGED_MS);
+  const waiting = setTimeout(() => say(t("Sent; the rig has not answered yet.")), ACKNOWLEDGED_MS);
   try {
     const answer = await post(`/do/${name}`, content), text = (await sentence(answer)) ?? "";
     clearTimeout(waiting);
-    say(text, { refusal: !answer.ok });
-    return answer.ok ? text : null;
+    say(known(text), { refusal: !answer.ok, lang: spoken(text) ?? language });
+    return answer.ok ? known(text) : null;
   } catch {
     clearTimeout(waiting);
-    say("The server does not answer. The measurement goes on without this page; wait, or start fringedic again.");
+    say(t("The server does not answer. The measurement goes on without this page; wait, or start fringedic again."));
     return null;
   }
 }
@@ -48,18 +50,25 @@ export async function start(content) {
 
 export const post = (path, content) => fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
 
-export async function sentence(answer) {
+async function sentence(answer) {
   const text = await answer.text();
   try {
-    return JSON.parse(text).message;
+    const { message, sentence: inParts } = JSON.parse(text);
+    return inParts ?? message;
   } catch {
     return text;
   }
 }
 
+// The error of a refusal, with its sentence and the language of that.
+export async function refused(answer) {
+  const why = await sentence(answer);
+  return Object.assign(new Error(known(why)), { lang: spoken(why) ?? language });
+}
+
 async function get(path) {
   const answer = await fetch(path);
-  if (!answer.ok) throw new Error(await sentence(answer));
+  if (!answer.ok) throw await refused(answer);
   return answer;
 }
 
@@ -68,7 +77,7 @@ export async function tried(request) {
   try {
     return await request;
   } catch (error) {
-    say(error.message);
+    say(error.message, { lang: error.lang });
     return null;
   }
 }
@@ -102,7 +111,7 @@ export const cloud = async (step, name) => new Float32Array(await (await get(abo
 
 async function posted(path, content) {
   const answer = await post(path, content);
-  if (!answer.ok) throw new Error(await sentence(answer));
+  if (!answer.ok) throw await refused(answer);
   return answer.json();
 }
 

@@ -3,6 +3,7 @@
 import { button, notDriving } from "./buttons.js";
 import { keep, make, patch } from "./elements.js";
 import { figuresPanel } from "./figures.js";
+import { date, known, spoken, t } from "./language.js";
 import { LiveImage } from "./live_image.js";
 import { numberField, numbersField } from "./numbers.js";
 import { cannotStart, procedurePanel } from "./procedure.js";
@@ -14,25 +15,25 @@ const LIVE = { axes: "crosshair", camera_focus: "white", projector_focus: "focus
 // Options of the commands with their names; one without a value is optional.
 const OPTIONS = {
   timing: [
-    { label: "Exposure [ms]", name: "exposure_ms", min: 0.05, max: 1000, value: 3 },
-    { label: "Longest delay [ms]", name: "longest_ms", min: 20, max: 10000, value: 300 },
+    { label: t("Exposure [ms]"), name: "exposure_ms", min: 0.05, max: 1000, value: 3 },
+    { label: t("Longest delay [ms]"), name: "longest_ms", min: 20, max: 10000, value: 300 },
   ],
-  calibrate: [{ label: "Other angles [degree]", name: "angles_deg", kind: "list", placeholder: "those of the rig file, or 0; -10; 10" }],
+  calibrate: [{ label: t("Other angles [degree]"), name: "angles_deg", kind: "list", placeholder: t("those of the rig file, or 0; -10; 10") }],
   check: [
-    { label: "Gauge block [mm]", name: "distance_mm", min: 0.1, max: 1000, value: 5 },
-    { label: "Acceptance test (VDI/VDE 2634) instead", name: "vdi", kind: "choice" },
+    { label: t("Gauge block [mm]"), name: "distance_mm", min: 0.1, max: 1000, value: 5 },
+    { label: t("Acceptance test (VDI/VDE 2634) instead"), name: "vdi", kind: "choice" },
   ],
-  noise: [{ label: "Steps at rest", name: "steps", min: 3, max: 1000, whole: true, value: 10 }],
+  noise: [{ label: t("Steps at rest"), name: "steps", min: 3, max: 1000, whole: true, value: 10 }],
   advise: [
-    { label: "Wanted noise [px]", name: "wanted_noise_px", min: 0, placeholder: "none" },
-    { label: "Wanted period [px]", name: "wanted_period_px", min: 0, placeholder: "none" },
-    { label: "Pixel on the specimen [mm]", name: "pixel_size_mm", min: 0, placeholder: "unknown" },
-    { label: "Strain window [points]", name: "strain_window_points", min: 3, max: 1001, odd: true, value: 5 },
+    { label: t("Wanted noise [px]"), name: "wanted_noise_px", min: 0, placeholder: t("none") },
+    { label: t("Wanted period [px]"), name: "wanted_period_px", min: 0, placeholder: t("none") },
+    { label: t("Pixel on the specimen [mm]"), name: "pixel_size_mm", min: 0, placeholder: t("unknown") },
+    { label: t("Strain window [points]"), name: "strain_window_points", min: 3, max: 1001, odd: true, value: 5 },
   ],
 };
 const fields = {}; // of each item, with what the operator has entered
 const NOT_IN_USE = 4;
-const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"], ["bad", "failed"], ["care", "not in use"]];
+const STATES = [["", t("not done")], ["good", t("done")], ["care", t("out of date")], ["bad", t("failed")], ["care", t("not in use")]];
 const MEASURED = ["timing", "response", "calibrate", "check", "region", "noise", "advise", "settings"];
 let open = "";
 
@@ -57,26 +58,26 @@ export function show(place) {
 }
 
 function entry(item, choose) {
-  const [colour, state] = STATES[item.state], when = item.done ? `, ${new Date(1000 * item.done).toLocaleString()}` : "";
+  const [colour, state] = STATES[item.state], when = item.done ? `, ${date(item.done)}` : "";
   const chosen = item.item === open;
   return make("li", { class: `${colour}${chosen ? " now" : ""}`, id: `item-${item.item}` },
-    make("div", { class: "row" }, make("h3", { tabindex: -1 }, item.title), make("span", { class: colour || "soft" }, `${state}${when}`),
-      button("Open", { hidden: chosen, "data-key": "open", onclick: () => choose(item.item), "aria-label": `Open ${item.title}` })),
-    make("p", { class: "soft next" }, item.next),
-    item.state === NOT_IN_USE ? button("Use this result", { class: "use-result", "data-key": "use", why: cannotStart(), onclick: () => start({ procedure: "use", pattern: item.item }) }) : null,
-    chosen ? make("div", {}, ...buttons(item.item), item.words.length ? make("pre", {}, item.words.join("\n")) : null,
-      item.report ? make("p", {}, make("a", { href: item.report, target: "_blank", rel: "noopener" }, "Report")) : null,
-      item.picture ? make("img", { src: `${item.picture}?${item.done}`, alt: `Result: ${item.title}` }) : null) : null);
+    make("div", { class: "row" }, make("h3", { tabindex: -1 }, known(item.title)), make("span", { class: colour || "soft" }, `${state}${when}`),
+      button(t("Open"), { hidden: chosen, "data-key": "open", onclick: () => choose(item.item), "aria-label": t("Open {item}", { item: known(item.title) }) })),
+    make("p", { class: "soft next", lang: spoken(item.next) }, known(item.next)),
+    item.state === NOT_IN_USE ? button(t("Use this result"), { class: "use-result", "data-key": "use", why: cannotStart(), onclick: () => start({ procedure: "use", pattern: item.item }) }) : null,
+    chosen ? make("div", {}, ...buttons(item.item), item.words.length ? make("pre", { lang: "en" }, item.words.join("\n")) : null,
+      item.report ? make("p", {}, make("a", { href: item.report, target: "_blank", rel: "noopener" }, t("Report"))) : null,
+      item.picture ? make("img", { src: `${item.picture}?${item.done}`, alt: t("Result: {item}", { item: known(item.title) }) }) : null) : null);
 }
 
 function buttons(item) {
   const why = cannotStart();
   if (item in LIVE) return [make("div", { class: "row" },
-    button("Show the pattern", { class: "main start", why, onclick: () => start({ procedure: "live", pattern: LIVE[item] }) }),
-    button("It is adjusted", { class: "done", why: notDriving(), onclick: () => start({ procedure: "confirm", pattern: item }) }))];
-  if (item === "region") return [make("p", {}, "Draw on the image, then use the region.")];
+    button(t("Show the pattern"), { class: "main start", why, onclick: () => start({ procedure: "live", pattern: LIVE[item] }) }),
+    button(t("It is adjusted"), { class: "done", why: notDriving(), onclick: () => start({ procedure: "confirm", pattern: item }) }))];
+  if (item === "region") return [make("p", {}, t("Draw on the image, then use the region."))];
   const own = (fields[item] ??= (OPTIONS[item] ?? []).map(optionField));
-  return [make("div", { class: "row" }, ...own.map(({ element }) => element), button("Measure", { class: "main start", why, onclick: () => {
+  return [make("div", { class: "row" }, ...own.map(({ element }) => element), button(t("Measure"), { class: "main start", why, onclick: () => {
     const options = own.map(({ input, name, found }) => [name, found(), input.reportValidity()]);
     if (options.every(([, , valid]) => valid)) return start({ procedure: item, options: Object.fromEntries(options.filter(([, value]) => value !== null)) });
   } }))];

@@ -1,6 +1,7 @@
 // The surface in 3D: points coloured by a map, with their displacement magnified. Drag to turn, wheel or +/- to zoom.
 
 import { draw, make, number, options, patch } from "./elements.js";
+import { t } from "./language.js";
 import { colourBar, usualRange } from "./map_canvas.js";
 import { numberField } from "./numbers.js";
 import { cloud, newest, palettes, tried } from "./server.js";
@@ -24,26 +25,26 @@ const AXES = ["x", "y", "z"];
 const kept = { quantity: "w", step: null, follow: true, magnified: 1, turn: 0.5, tilt: -0.5, zoom: 1.6 };
 
 export function show(place) {
-  const canvas = make("canvas", { class: "space", id: "space", tabindex: 0, role: "img", "aria-label": "Surface in 3D; arrow keys turn it, plus and minus zoom" });
+  const canvas = make("canvas", { class: "space", id: "space", tabindex: 0, role: "img", "aria-label": t("Surface in 3D; arrow keys turn it, plus and minus zoom") });
   const axes = draw("svg", { class: "axes" }), bar = make("canvas", { width: 256, height: 1 }), low = make("span"), high = make("span");
   const scene = new Scene(canvas, (lines) => patch(axes, ...lines));
   const step = make("select", { id: "space-step", onchange: () => { kept.step = step.value; kept.follow = step.selectedIndex === step.length - 1; load(); } });
   const quantity = make("select", { id: "space-quantity", onchange: () => { kept.quantity = quantity.value; load(); } });
   const magnified = numberField({ id: "magnified", min: 0, value: kept.magnified, changed: () => { kept.magnified = magnified.found() ?? 1; scene.draw(); } });
-  const words = make("p", { class: "soft", role: "status" }, scene.gl ? "No surface has been measured yet." : "This browser has no WebGL, which draws the surface.");
-  place.replaceChildren(make("section", { class: "panel" }, make("div", { class: "row" }, make("label", {}, "Step", step),
-    make("label", {}, "Colour", quantity), make("label", {}, "Displacement times", magnified.input)),
+  const words = make("p", { class: "soft", role: "status" }, scene.gl ? t("No surface has been measured yet.") : t("This browser has no WebGL, which draws the surface."));
+  place.replaceChildren(make("section", { class: "panel" }, make("div", { class: "row" }, make("label", {}, t("Step"), step),
+    make("label", {}, t("Colour"), quantity), make("label", {}, t("Displacement times"), magnified.input)),
   make("div", { class: "picture" }, canvas, axes), make("div", { class: "bar", id: "space-bar" }, low, bar, high), words));
   const chosen = newest();
   const load = async () => {
     if (!step.value || !quantity.value || !scene.gl) return;
-    const of = `${quantity.value} of step ${step.value}`, found = (shown("quantities") ?? []).find(({ name }) => name === quantity.value);
+    const of = { map: quantity.value, step: step.value }, found = (shown("quantities") ?? []).find(({ name }) => name === quantity.value);
     const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;
     scene.take(points, colours.viridis);
     [low.textContent, high.textContent] = scene.range.map((value) => `${number(value / found.factor)} ${found.unit}`);
     colourBar(bar, colours.viridis);
-    words.textContent = `${points.length / 7} points, coloured by ${of}; drag to turn, wheel to zoom`;
+    words.textContent = t("{points} points, coloured by {map} of step {step}; drag to turn, wheel to zoom", { points: points.length / 7, ...of });
   };
   const watch = new ResizeObserver(() => scene.draw());
   watch.observe(canvas);
@@ -141,7 +142,7 @@ class Scene {
     const corner = this.limits.map(([low]) => low), [a, b] = this.project(corner);
     return this.limits.flatMap(([low, high], k) => {
       const [c, d] = this.project(corner.map((value, other) => (other === k ? high : value)));
-      const text = `${AXES[k]}: ${number(1e3 * low)} to ${number(1e3 * high)} mm`;
+      const text = t("{axis}: {low} to {high} mm", { axis: AXES[k], low: number(1e3 * low), high: number(1e3 * high) });
       const line = (name) => draw("line", { class: name, x1: a, y1: b, x2: c, y2: d });
       return [line("halo"), line("axis"), draw("text", { x: c, y: d, "text-anchor": "middle" }, text)];
     });

@@ -2,6 +2,7 @@
 
 import { button } from "./buttons.js";
 import { keep, make, options } from "./elements.js";
+import { decimal, known, t } from "./language.js";
 import { numberField } from "./numbers.js";
 import { latest } from "./stream.js";
 
@@ -16,12 +17,12 @@ export function formParts() {
   if (!form.length) return [];
   const last = (latest("tests") ?? []).find((each) => Object.keys(each.answers ?? {}).length);
   return [make("div", { class: "form", id: "test-form" }, ...fields.map(({ element }) => element)),
-    last ? button("Fill in as the last test", { id: "as-last", onclick: () => fill(last.answers) }) : null];
+    last ? button(t("Fill in as the last test"), { id: "as-last", onclick: () => fill(last.answers) }) : null];
 }
 
 // Fills the form, but for what the next test has of its own.
 function fill(answers) {
-  for (const { name, entry, input } of fields) if (name !== SPECIMEN && !OF_ONE_TEST.includes(entry) && name in answers) input.value = String(answers[name]);
+  for (const { name, entry, input } of fields) if (name !== SPECIMEN && !OF_ONE_TEST.includes(entry) && name in answers) input.value = typeof answers[name] === "number" ? decimal(answers[name]) : answers[name];
 }
 
 // The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes the entry of the rig file.
@@ -33,9 +34,9 @@ export function testAnswers() {
 }
 
 function formField({ name, entry, kind, choices, minimum, maximum, required }, value) {
-  const id = `test-${name.replace(/[^a-z0-9]+/gi, "-")}`, label = required ? `${name} (required)` : name;
+  const id = `test-${name.replace(/[^a-z0-9]+/gi, "-")}`, label = required ? t("{field} (required)", { field: known(name) }) : known(name);
   if (kind === "number") {
-    const { input, found } = numberField({ id, min: minimum ?? -Infinity, max: maximum ?? Infinity, value: value === undefined ? "" : String(value), required });
+    const { input, found } = numberField({ id, min: minimum ?? -Infinity, max: maximum ?? Infinity, value: value ?? "", required });
     return { name, entry, input, found, element: keep(make("label", {}, label, input)) };
   }
   const input = choices ? make("select", { id, required }) : make("input", { id, type: "text", maxlength: 1000, autocomplete: "off", required });
