@@ -114,10 +114,10 @@ def recommendation_sentences(plan: Plan) -> list[str]:
     noise = dict(plan.angles)[plan.recommended_angle]
     angle = f"an angle of {math.degrees(plan.recommended_angle):.0f} degree: the noise of z becomes {noise:.2f} times"
     sentences = [f"{words}.", f"{angle}; the planned angle is {math.degrees(plan.angle):.0f} degree."]
-    return sentences + ([_faster_sentence(plan.planned)] if plan.planned.layout.code == 0 else [])
+    return sentences + ([faster_motion_sentence(plan.planned)] if plan.planned.layout.code == 0 else [])
 
 
-def _faster_sentence(planned: PlannedRig) -> str:
+def faster_motion_sentence(planned: PlannedRig) -> str:
     """Return what makes the fastest motion without a hold faster, each change alone."""
     limit = motion_limit(planned)
 

@@ -14,11 +14,12 @@ from fringedic.patterns import fringe_sequence
 from fringedic.patterns.pattern import Orientation
 from fringedic.phase.demodulation import absolute_phase
 from fringedic.planning import PlannedRig, make_plan
+from fringedic.planning.motion_limit import motion_limit
 from fringedic.planning.plan import PlanChange, field_uncertainty, plane_noise, recommend_angle
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, find_warnings, fringe_period
 from fringedic.planning.planned_patch import Patch
 from fringedic.planning.planned_rig import pixel_ripple
-from fringedic.planning.sentences import plan_text, plan_warning_sentence
+from fringedic.planning.sentences import faster_motion_sentence, plan_text, plan_warning_sentence
 from fringedic.report.plan import write_plan_page
 from fringedic.surface import couple
 from fringedic.virtual_rig import VirtualRig
@@ -219,3 +220,18 @@ def test_a_virtual_rig_is_a_plan_too():
     assert planned.components is None
     assert math.isinf(depth_of_field(planned))
     assert 0.01 < planned.noise.shot < 0.03
+
+
+def test_a_known_direction_and_a_shorter_exposure_allow_a_faster_motion(planned):
+    exposed = replace(planned, exposure_time=0.02)
+    one_way = motion_limit(replace(exposed, motion_range=(-0.28, 0.0)))
+    both = motion_limit(exposed)
+    assert one_way.speed / both.speed == pytest.approx(2 * math.pi * 0.28 / 0.6)
+    assert both.per_frame == pytest.approx(0.6 / (2 * math.pi) * fringe_period(exposed))
+    assert max(one_way.condition, both.condition) < 10
+    assert 0.9 < one_way.contrast < both.contrast
+    sentence = faster_motion_sentence(exposed)
+    assert "finest pitch of 24 projector px: x 2" in sentence
+    assert "an exposure of 10 ms: x 1.31" in sentence, "(22 + 20) / (22 + 10)"
+    assert "where the direction is known: x 2.93" in sentence
+    assert "exposure" not in faster_motion_sentence(replace(planned, exposure_time=math.nan))
