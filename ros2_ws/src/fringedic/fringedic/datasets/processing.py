@@ -29,7 +29,7 @@ from fringedic.evidence.changes import noted
 from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
-from fringedic.recording.every_frame import EveryFrameReader
+from fringedic.recording.every_frame import EveryFrameReader, stacks_of
 from fringedic.recording.frames import RecordedMessage, events, paired
 from fringedic.recording.growing import FollowError, GrowingRecording
 from fringedic.recording.reader import BagReader
@@ -243,6 +243,13 @@ def process_into(
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
     timeline = Timeline(reader, names, settings.experiment, steps=read, overrides=settings.overrides)
+    if settings.every_frame:  # frames that cannot be trusted are not trusted in a window
+        timeline.rejected |= {
+            step: timeline.rejected[stack]
+            for step in timeline.steps
+            for stack in stacks_of(step)
+            if stack in timeline.rejected
+        }
     if asked:
         timeline.later_references = []
     else:

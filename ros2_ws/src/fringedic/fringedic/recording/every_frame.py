@@ -80,6 +80,18 @@ class EveryFrameReader(BagReader):
         yield from stacks.rest()
 
 
+def stacks_of(step: int) -> tuple[int, ...]:
+    """Return the steps whose frames a step of an `EveryFrameReader` consists of.
+
+    Examples
+    --------
+    >>> stacks_of(1200), stacks_of(1203)
+    ((1200,), (1200, 1300))
+    """
+    first = step - step % STEPS_PER_STACK
+    return (first,) if step == first else (first, first + STEPS_PER_STACK)
+
+
 class _OfWindow(bytes):
     """The data of an exposure record as a frame of a window: (step, index, count)."""
 
