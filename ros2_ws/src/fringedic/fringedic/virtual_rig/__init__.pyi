@@ -11,3 +11,4 @@ from .motions import Sine as Sine
 from .motions import StickSlip as StickSlip
 from .projector_timing import pattern_weights as pattern_weights
 from .rig import VirtualRig as VirtualRig
+from .sensors import virtual_sensors as virtual_sensors

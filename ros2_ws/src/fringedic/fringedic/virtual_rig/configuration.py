@@ -246,6 +246,52 @@ class LeatherSpecimen(_Section):
     lift_per_m_per_mm: float = Field(default=-0.1, description="Change of that curvature per travel.")
 
 
+class CylinderSpecimen(_Section):
+    """A round bar or tube about y in tension and torsion; X is the arc length around it from its crest at +z."""
+
+    kind: Literal["cylinder"] = "cylinder"
+    radius_mm: float = Field(default=20.0, gt=0)
+    half_height_mm: float = Field(default=30.0, gt=0)
+    gauge_length_mm: float = Field(default=60.0, gt=0, description="Distance of the grips; the lower one stands still.")
+    poisson: float = Field(default=0.33, ge=0, le=0.5)
+    twist_degree_per_mm: float = Field(
+        default=1.0, description="Rotation of the upper grip against the lower one, per travel."
+    )
+    bulge: float = Field(default=0.0, description="Growth of the radius in the middle per travel.")
+
+    @property
+    def half_width_mm(self) -> float:
+        """Half of the circumference."""
+        return math.pi * self.radius_mm
+
+
+class SpheresSpecimen(_Section):
+    """Balls of one size in space, a common object that all sensors around it can measure; the load does not move it."""
+
+    kind: Literal["spheres"] = "spheres"
+    radius_mm: float = Field(default=8.0, gt=0)
+    centres_mm: tuple[tuple[float, float, float], ...] = Field(
+        default=((-16.0, -9.0, 0.0), (15.0, -11.0, 3.0), (-2.0, 12.0, -4.0)),
+        min_length=1,
+        description="Centres in the frame of the specimen.",
+    )
+
+    @property
+    def half_width_mm(self) -> float:
+        """Half of the spheres' circumferences side by side, with gaps."""
+        return 0.5 * self.width_mm * len(self.centres_mm)
+
+    @property
+    def width_mm(self) -> float:
+        """Width of the material coordinates of one ball."""
+        return 2.2 * math.pi * self.radius_mm
+
+    @property
+    def half_height_mm(self) -> float:
+        """Half of a meridian."""
+        return 0.5 * math.pi * self.radius_mm
+
+
 class ReferencePlaneSpecimen(_Section):
     """The flat plate on the stage that calibrates a rig; the load does not move it."""
 
@@ -280,6 +326,22 @@ class StageConfiguration(_Section):
     grid_blur_um: float = Field(default=30.0, gt=0, description="Blur of the lines: paper, print and lens.")
 
 
+class PlacementConfiguration(_Section):
+    """Pose of the sensor's rig frame in the frame of the specimen, where several sensors look at it."""
+
+    translation_mm: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Origin of the sensor's rig frame in the frame of the specimen."
+    )
+    rotation_degree: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Rotation vector from the sensor's rig frame to that of the specimen."
+    )
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether both frames are one."""
+        return not any((*self.translation_mm, *self.rotation_degree))
+
+
 class LoadFrameConfiguration(_Section):
     """The testing machine that stretches the specimen."""
 
@@ -296,7 +358,13 @@ class LoadFrameConfiguration(_Section):
 
 
 Specimen = Annotated[
-    RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen | ReferencePlaneSpecimen,
+    RigidSpecimen
+    | PlateSpecimen
+    | SkinSpecimen
+    | LeatherSpecimen
+    | CylinderSpecimen
+    | SpheresSpecimen
+    | ReferencePlaneSpecimen,
     Field(discriminator="kind"),
 ]
 
@@ -311,6 +379,7 @@ class VirtualRigConfiguration(_Section):
     texture: TextureConfiguration = TextureConfiguration()
     specimen: Specimen = PlateSpecimen()
     stage: StageConfiguration = StageConfiguration()
+    placement: PlacementConfiguration = PlacementConfiguration()
     load_frame: LoadFrameConfiguration = LoadFrameConfiguration()
 
     @classmethod
@@ -422,6 +491,10 @@ _PRESETS: dict[str, dict[str, Any]] = {
             "force_noise_n": 0.05,
         },
     },
+    "cylinder": {
+        "specimen": {"kind": "cylinder"},
+        "load_frame": {"maximum_position_mm": 1.0, "stiffness_n_per_mm": 5000.0, "play_mm": 0.02},
+    },
     "rigid": {
         "specimen": {"kind": "rigid", "translation": (1.0, 0.0, 0.0)},
         "load_frame": {"maximum_position_mm": 5.0},
@@ -439,8 +512,8 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
     Parameters
     ----------
     name
-        ``plate``, ``skin``, ``leather`` (the specimens of the paper), ``rigid`` (a plane that moves along x),
-        ``plane`` (at 10 degrees), ``sphere``, ``stepped`` or ``reference_plane`` (the plate that calibrates a rig).
+        ``plate``, ``skin``, ``leather`` (the specimens of the paper), ``cylinder``, ``rigid`` (a plane that moves along
+        x), ``plane`` (at 10 degrees), ``sphere``, ``stepped`` or ``reference_plane`` (the plate that calibrates a rig).
     size
         ``full``: camera 1280x960, projector 800x600; ``small``: a quarter; ``tiny``: an eighth along each side, on the
         same field, with a texture of the same size in pixels.

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fringedic.virtual_rig.configuration import CameraConfiguration, ProjectorConfiguration
+from fringedic.virtual_rig.configuration import CameraConfiguration, PlacementConfiguration, ProjectorConfiguration
 
 Matrix = NDArray[np.float64]
 
@@ -32,6 +32,17 @@ def rotation_z(angle: float) -> Matrix:
     """Return the right-handed rotation by `angle` [rad] about z."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def placement_matrices(placement: PlacementConfiguration) -> tuple[Matrix, Matrix]:
+    """Return rotation (3, 3) and translation (3,) [m] from the sensor's rig frame to the frame of the specimen."""
+    x, y, z = (math.radians(each) for each in placement.rotation_degree)
+    angle = math.sqrt(x * x + y * y + z * z)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation = np.eye(3)
+    if angle > 0.0:  # Rodrigues' formula
+        rotation += math.sin(angle) / angle * cross + (1.0 - math.cos(angle)) / angle**2 * cross @ cross
+    return rotation, 1e-3 * np.array(placement.translation_mm)
 
 
 def looking_at_origin(position: Matrix) -> Matrix:

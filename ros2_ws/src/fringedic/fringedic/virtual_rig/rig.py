@@ -17,13 +17,21 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from fringedic.errors import CrossheadRangeError, ImageError
 from fringedic.virtual_rig import exposure, tracing
 from fringedic.virtual_rig.configuration import (
+    CylinderSpecimen,
     ReferencePlaneSpecimen,
     RigidSpecimen,
+    SpheresSpecimen,
     VirtualRigConfiguration,
     preset,
 )
 from fringedic.virtual_rig.motions import Motion
-from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
+from fringedic.virtual_rig.optics import (
+    camera_optics,
+    camera_pin_hole,
+    placement_matrices,
+    projector_optics,
+    projector_pin_hole,
+)
 from fringedic.virtual_rig.specimens import make_surface
 from fringedic.virtual_rig.texture import make_texture, reflectance_at
 
@@ -117,7 +125,11 @@ class VirtualRig:
         self._camera = camera_pin_hole(configuration.camera)
         self._projector = projector_pin_hole(configuration.projector)
         self._surface = make_surface(
-            configuration.specimen, configuration.stage, configuration.texture, configuration.seed
+            configuration.specimen,
+            configuration.stage,
+            configuration.texture,
+            configuration.seed,
+            configuration.placement,
         )
         is_plane = isinstance(configuration.specimen, ReferencePlaneSpecimen)
         self._texture = (
@@ -133,7 +145,8 @@ class VirtualRig:
         Parameters
         ----------
         name
-            ``plate``, ``skin``, ``leather``, ``rigid``, ``plane``, ``sphere``, ``stepped`` or ``reference_plane``.
+            ``plate``, ``skin``, ``leather``, ``cylinder``, ``rigid``, ``plane``, ``sphere``, ``stepped`` or
+            ``reference_plane``.
         size
             ``full`` (camera 1280x960 px, projector 800x600 px), ``small`` (a quarter) or ``tiny`` (an eighth).
         ideal
@@ -226,6 +239,46 @@ class VirtualRig:
             The position is outside the specimen's range.
         """
         return self.expose_parts([(projector_image, 1.0)], position, frame, exposure_factor=exposure_factor)
+
+    def expose_beside(
+        self,
+        projector_image: NDArray[np.uint8],
+        position: float,
+        frame: int,
+        others: Sequence[tuple[VirtualRig, NDArray[np.uint8]]],
+    ) -> NDArray[np.unsignedinteger]:
+        """Take one picture while projectors of other sensors on the same specimen light it, too (crosstalk).
+
+        Parameters
+        ----------
+        projector_image, position, frame
+            See `expose`, also for result and errors.
+        others
+            The other sensors, each with the image that its projector shows.
+        """
+        level = self._level([(projector_image, 1.0)], position)
+        for other, image in others:
+            view = self._view_of(other, position)
+            level = level + view.gain * other._light(view, image)  # noqa: SLF001 (the same class)
+        return self._sense(level, 1.0, frame)
+
+    def _view_of(self, other: VirtualRig, position: float) -> View:
+        """Return what this camera sees in the light of another sensor's projector."""
+        own, (rotation, translation), (turned, moved) = self.view(position), self.pose, other.pose
+        projector = other._projector.copy()
+        distance, height = np.linalg.norm(projector[:3]), projector[2]
+        projector[:3] = rotation.T @ (turned @ projector[:3] + moved - translation)
+        projector[3:12] = (rotation.T @ turned @ projector[3:12].reshape(3, 3)).ravel()
+        # the irradiance is relative to that at the origin of the other sensor
+        brighter = distance**3 / height * projector[2] / np.linalg.norm(projector[:3]) ** 3
+        maps = tracing.LightMaps(*(np.empty_like(own.X) for _ in range(4)))
+        tracing.light_geometry(self._camera, projector, self._surface.deformed(position), own.X, own.Y, maps)
+        irradiance = brighter * maps.irradiance
+        lit = irradiance > 0.0
+        sensor = self.configuration.sensor
+        white = own.offset / np.float32(max(sensor.ambient_light, 1e-9))  # the surface in the light of level 1
+        gain = np.where(lit, white * irradiance, 0.0).astype(np.float32)
+        return View(own.X, own.Y, maps.column, maps.row, lit, gain, np.zeros_like(gain), own.residual)
 
     def expose_parts(
         self,
@@ -340,7 +393,7 @@ class VirtualRig:
         projector = self.configuration.projector
         defocus = projector.defocus_px
         response = (np.linspace(0.0, 1.0, 256) ** projector.gamma).astype(np.float32)
-        light = np.empty(self.shape, np.float32)
+        light = np.empty(view.lit.shape, np.float32)
         if (projector_image == projector_image[:1]).all():
             edge = view.edge("row", projector.rows, defocus)
             weights = view.weights("column", projector.columns, defocus)
@@ -370,8 +423,7 @@ class VirtualRig:
             )
         position = float(position)  # an integer would compile all kernels again
         if position not in self._views:
-            X, Y, residual = np.empty(self.shape), np.empty(self.shape), np.empty(self.shape)
-            tracing.solve_pixels(self._camera, self._surface.deformed(position), X, Y, residual)
+            X, Y, residual = self._solve(position)
             left, right, low, high = self._surface.outline
             beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
             X[beside] = Y[beside] = np.nan
@@ -413,6 +465,65 @@ class VirtualRig:
         self._views.move_to_end(position)
         return self._views[position]
 
+    def _solve(self, position: float) -> tuple[Map, Map, Map]:
+        """Return the material points (X, Y) [m] that the pixels see, and the residual [px]."""
+        surface, residual = self._surface.deformed(position), np.empty(self.shape)
+        if not self._surface.placed and surface.kind not in (tracing.CYLINDER, tracing.SPHERES):
+            X, Y = np.empty(self.shape), np.empty(self.shape)
+            tracing.solve_pixels(self._camera, surface, X, Y, residual)
+            return X, Y, residual
+        X, Y = self._starts()
+        tracing.solve_from_starts(self._camera, surface, X, Y, residual)
+        if surface.kind == tracing.CYLINDER:  # around it, X begins again
+            half = self._surface.outline[1]
+            X = np.remainder(X + half, 2.0 * half) - half
+        return X, Y, residual
+
+    def _starts(self) -> tuple[Map, Map]:
+        """Return where the lines of sight meet the specimen's plane z = 0, or its cylinder; NaN where they miss."""
+        camera, (rotation, translation) = self._camera, self.pose
+        row, column = np.indices(self.shape, dtype=np.float64)
+        seen = np.stack(
+            [(column - camera[14]) / camera[12], (camera[15] - row) / camera[13], np.full(self.shape, -1.0)]
+        )
+        direction = np.tensordot(rotation @ camera[3:12].reshape(3, 3), seen, axes=1)
+        origin = rotation @ camera[:3] + translation
+        if self._surface.kind == tracing.SPHERES:
+            return self._starts_on_spheres(origin, direction)
+        if self._surface.kind != tracing.CYLINDER:
+            along = -origin[2] / direction[2]
+            return origin[0] + along * direction[0], origin[1] + along * direction[1]
+        radius = self._surface.coefficients[0]
+        a = direction[0] ** 2 + direction[2] ** 2
+        b = direction[0] * origin[0] + direction[2] * origin[2]
+        square = b * b - a * (origin[0] ** 2 + origin[2] ** 2 - radius**2)
+        along = np.where(square > 0.0, -(b + np.sqrt(np.maximum(square, 0.0))) / a, np.nan)
+        x, y, z = (origin[axis] + along * direction[axis] for axis in range(3))
+        return radius * np.arctan2(x, z), y
+
+    def _starts_on_spheres(self, origin: Map, direction: Map) -> tuple[Map, Map]:
+        radius, width, *rest = self._surface.coefficients
+        centres = np.array(rest).reshape(-1, 3)
+        X, Y, nearest = (np.full(self.shape, each) for each in (np.nan, np.nan, np.inf))
+        a = (direction**2).sum(axis=0)
+        for number, centre in enumerate(centres):
+            away = origin - centre
+            b = np.tensordot(away, direction, axes=1)
+            square = b * b - a * (away @ away - radius**2)
+            along = np.where(square > 0.0, -(b + np.sqrt(np.maximum(square, 0.0))) / a, np.inf)
+            x, y, z = away[:, None, None] + np.where(np.isfinite(along), along, 0.0) * direction
+            hit = along < nearest
+            place = (number + 0.5 - 0.5 * len(centres)) * width
+            X[hit] = (place + radius * np.arctan2(x, z))[hit]
+            Y[hit] = (radius * np.arcsin(np.clip(y / radius, -1.0, 1.0)))[hit]
+            nearest[hit] = along[hit]
+        return X, Y
+
+    @property
+    def pose(self) -> tuple[Map, Map]:
+        """Rotation (3, 3) and translation (3,) [m] from this sensor's rig frame to the frame of the specimen."""
+        return placement_matrices(self.configuration.placement)
+
     def _points(self, position: float, X: Map, Y: Map) -> tuple[Map, Map, Map]:
         x, y, z = np.empty_like(X), np.empty_like(X), np.empty_like(X)
         tracing.surface_points(self._surface.deformed(position), X, Y, x, y, z)
@@ -435,10 +546,10 @@ class VirtualRig:
         on the same path: only points at the same projector pixels as averted parts can be in shadow.
         """
         specimen = self.configuration.specimen
-        if isinstance(specimen, ReferencePlaneSpecimen) or (
+        if isinstance(specimen, ReferencePlaneSpecimen | CylinderSpecimen | SpheresSpecimen) or (
             isinstance(specimen, RigidSpecimen) and specimen.shape == "plane"
         ):
-            return irradiance > 0.0  # a plane has no part behind another
+            return irradiance > 0.0  # no lit part behind another; the shadow of a ball on another is left out
         left, right, low, high = self._surface.outline
         grid = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
         grid_column, grid_row, grid_irradiance, _ = self._light_geometry(position, *grid)

@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 
 from fringedic.virtual_rig import tracing
 from fringedic.virtual_rig.configuration import (
+    CylinderSpecimen,
     LeatherSpecimen,
+    PlacementConfiguration,
     PlateSpecimen,
     ReferencePlaneSpecimen,
     RigidSpecimen,
     SkinSpecimen,
     Specimen,
+    SpheresSpecimen,
     StageConfiguration,
     TextureConfiguration,
     slope,
 )
-from fringedic.virtual_rig.optics import rotation_x, rotation_y, rotation_z
+from fringedic.virtual_rig.optics import placement_matrices, rotation_x, rotation_y, rotation_z
 from fringedic.virtual_rig.texture import furrow_strokes, stroke_field
 
 _MM = 1e-3
@@ -39,19 +42,31 @@ class Surface:
         First and last X, first and last Y [m] of the specimen in material coordinates.
     relief
         Strokes of height [m] added to z.
+    placed
+        Whether the frame of the specimen is not that of the sensor.
+    pose
+        From the frame of the specimen to that of the sensor, see `tracing.DeformedSurface`.
     """
 
     kind: int
     coefficients: NDArray[np.float64]
     outline: NDArray[np.float64]
     relief: tracing.StrokeField
+    placed: bool
+    pose: NDArray[np.float64]
 
     def deformed(self, position: float) -> tracing.DeformedSurface:
         """Return the surface at a crosshead position [m]."""
-        return tracing.DeformedSurface(self.kind, self.coefficients, position, *self.relief)
+        return tracing.DeformedSurface(self.kind, self.coefficients, position, self.placed, self.pose, *self.relief)
 
 
-def make_surface(specimen: Specimen, stage: StageConfiguration, texture: TextureConfiguration, seed: int) -> Surface:
+def make_surface(
+    specimen: Specimen,
+    stage: StageConfiguration,
+    texture: TextureConfiguration,
+    seed: int,
+    placement: PlacementConfiguration,
+) -> Surface:
     """Return the surface of a specimen; the relief of skin follows the furrows of its texture."""
     plate = stage if isinstance(specimen, ReferencePlaneSpecimen) else specimen
     half_width, half_height = plate.half_width_mm * _MM, plate.half_height_mm * _MM
@@ -68,6 +83,11 @@ def make_surface(specimen: Specimen, stage: StageConfiguration, texture: Texture
             strokes[:, 5] *= -1e-6 * specimen.relief_um
         case LeatherSpecimen():
             kind, coefficients = tracing.LEATHER, _leather(specimen)
+        case CylinderSpecimen():
+            kind, coefficients = tracing.CYLINDER, _cylinder(specimen)
+        case SpheresSpecimen():
+            centres = [each * _MM for centre in specimen.centres_mm for each in centre]
+            kind, coefficients = tracing.SPHERES, [specimen.radius_mm * _MM, specimen.width_mm * _MM, *centres]
         case ReferencePlaneSpecimen():
             # A positive angle rotates the plate by -angle about its axis, before it is lifted.
             through = _MM * np.array([stage.axis_x_mm, 0.0, stage.axis_z_mm])
@@ -76,7 +96,16 @@ def make_surface(specimen: Specimen, stage: StageConfiguration, texture: Texture
             turned = axis @ rotation_y(-math.radians(specimen.angle_degree)) @ axis.T
             origin = through - turned @ through + [0.0, 0.0, specimen.height_mm * _MM]
             kind, coefficients = tracing.REFERENCE_PLANE, [*origin, *turned[:, 0], *turned[:, 1]]
-    return Surface(kind, np.array(coefficients, dtype=np.float64), outline, stroke_field(strokes, outline))
+    rotation, translation = placement_matrices(placement)
+    pose = np.concatenate([rotation.T.ravel(), -rotation.T @ translation])
+    return Surface(
+        kind,
+        np.array(coefficients, dtype=np.float64),
+        outline,
+        stroke_field(strokes, outline),
+        not placement.is_identity,
+        pose,
+    )
 
 
 def _rigid(s: RigidSpecimen) -> list[float]:
@@ -107,6 +136,11 @@ def _plate(s: PlateSpecimen) -> list[float]:
         slope(s.angle_y_degree),
         s.twist_per_mm / _MM,
     ]
+
+
+def _cylinder(s: CylinderSpecimen) -> list[float]:
+    twist = math.radians(s.twist_degree_per_mm) / _MM / (s.gauge_length_mm * _MM)
+    return [s.radius_mm * _MM, s.gauge_length_mm * _MM, s.poisson, twist, s.bulge]
 
 
 def _skin(s: SkinSpecimen) -> list[float]:

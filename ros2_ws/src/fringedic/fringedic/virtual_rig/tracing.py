@@ -21,7 +21,7 @@ from numba import njit, prange
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 
-RIGID, PLATE, SKIN, LEATHER, REFERENCE_PLANE = 0, 1, 2, 3, 4
+RIGID, PLATE, SKIN, LEATHER, REFERENCE_PLANE, CYLINDER, SPHERES = 0, 1, 2, 3, 4, 5, 6
 PLANE, SPHERE, STEPPED, BALLS = 0, 1, 2, 3
 
 # A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height. This foot is subtracted
@@ -66,6 +66,10 @@ class DeformedSurface(NamedTuple):
         Its parameters.
     position : float
         Crosshead position [m].
+    placed : bool
+        Whether the frame of the specimen is not that of the sensor.
+    pose : float64 array (12,)
+        Rotation, row-major, and translation [m] from the frame of the specimen to that of the sensor.
     strokes, start, items, grid, cells
         Relief, strokes of height [m] added to z, see `StrokeField`; not nested, because Numba does not take nested
         tuples into parallel loops.
@@ -74,6 +78,8 @@ class DeformedSurface(NamedTuple):
     kind: int
     coefficients: np.ndarray
     position: float
+    placed: bool
+    pose: np.ndarray
     strokes: np.ndarray
     start: np.ndarray
     items: np.ndarray
@@ -265,6 +271,36 @@ def _leather_point(c, position, X, Y):
 
 
 @compiled
+def _cylinder_point(c, position, X, Y):
+    """Return a point of a cylinder about y in tension, torsion and bulging; X is the arc length from its crest."""
+    radius, length, poisson, twist, bulge = c[0], c[1], c[2], c[3], c[4]
+    strain = position / length
+    t = 2.0 * Y / length
+    present = radius * (1.0 - poisson * strain) + bulge * position * (1.0 - t * t)
+    angle = X / radius + twist * position * (Y + 0.5 * length)
+    return present * math.sin(angle), Y + strain * (Y + 0.5 * length), present * math.cos(angle)
+
+
+@compiled
+def _spheres_point(c, X, Y):
+    """Return a point of one of several spheres side by side in X: radius, width of each, then their centres.
+
+    X and Y are arc lengths along the equator around y, and along a meridian.
+    """
+    radius, width = c[0], c[1]
+    number = (len(c) - 2) // 3
+    which = min(max(math.floor(X / width + 0.5 * number), 0), number - 1)
+    longitude = (X - (which + 0.5 - 0.5 * number) * width) / radius
+    latitude = Y / radius
+    at = 2 + 3 * which
+    return (
+        c[at] + radius * math.cos(latitude) * math.sin(longitude),
+        c[at + 1] + radius * math.sin(latitude),
+        c[at + 2] + radius * math.cos(latitude) * math.cos(longitude),
+    )
+
+
+@compiled
 def _smooth_point(kind, c, position, X, Y):
     if kind == REFERENCE_PLANE:  # origin, direction of X, direction of Y; no load moves it
         return c[0] + c[3] * X + c[6] * Y, c[1] + c[4] * X + c[7] * Y, c[2] + c[5] * X + c[8] * Y
@@ -274,14 +310,32 @@ def _smooth_point(kind, c, position, X, Y):
         return _plate_point(c, position, X, Y)
     if kind == SKIN:
         return _skin_point(c, position, X, Y)
+    if kind == CYLINDER:
+        return _cylinder_point(c, position, X, Y)
+    if kind == SPHERES:
+        return _spheres_point(c, X, Y)
     return _leather_point(c, position, X, Y)
+
+
+@compiled
+def _into_sensor(pose, x, y, z):
+    """Return a vector of the specimen's frame in that of the sensor, without the translation."""
+    return (
+        pose[0] * x + pose[1] * y + pose[2] * z,
+        pose[3] * x + pose[4] * y + pose[5] * z,
+        pose[6] * x + pose[7] * y + pose[8] * z,
+    )
 
 
 @compiled
 def surface_point(surface, X, Y):
     """Return the position x, y, z [m] of the material point (X, Y)."""
     x, y, z = _smooth_point(surface.kind, surface.coefficients, surface.position, X, Y)
-    return x, y, z + stroke_sum(surface, X, Y)[0]
+    z += stroke_sum(surface, X, Y)[0]
+    if surface.placed:
+        x, y, z = _into_sensor(surface.pose, x, y, z)
+        x, y, z = x + surface.pose[9], y + surface.pose[10], z + surface.pose[11]
+    return x, y, z
 
 
 @compiled
@@ -294,14 +348,12 @@ def surface_tangents(surface, X, Y):
     fx, fy, fz = _smooth_point(kind, c, position, X, Y - HALF_STEP)
     slope_x, slope_y = stroke_sum(surface, X, Y)[1:]
     k = 0.5 / HALF_STEP
-    return (
-        (ax - bx) * k,
-        (ay - by) * k,
-        (az - bz) * k + slope_x,
-        (ex - fx) * k,
-        (ey - fy) * k,
-        (ez - fz) * k + slope_y,
-    )
+    ax, ay, az = (ax - bx) * k, (ay - by) * k, (az - bz) * k + slope_x
+    ex, ey, ez = (ex - fx) * k, (ey - fy) * k, (ez - fz) * k + slope_y
+    if surface.placed:
+        ax, ay, az = _into_sensor(surface.pose, ax, ay, az)
+        ex, ey, ez = _into_sensor(surface.pose, ex, ey, ez)
+    return ax, ay, az, ex, ey, ez
 
 
 @in_parallel
@@ -474,6 +526,42 @@ def solve_pixels(camera, surface, X, Y, residual):
             X[i, j] = base_x
             Y[i, j] = base_y
             residual[i, j] = best
+
+
+@in_parallel
+def solve_from_starts(camera, surface, X, Y, residual):
+    """Replace material points near those that the pixels see by these, as `solve_pixels` (NaN in, NaN out).
+
+    Every pixel has its own start, because a sensor in any pose may see several sides of a specimen in one row.
+    """
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            base_x, base_y = X[i, j], Y[i, j]
+            best = np.inf
+            if math.isnan(base_x):
+                residual[i, j] = best
+                continue
+            try_x, try_y = base_x, base_y
+            move_x = move_y = 0.0
+            for _ in range(60):
+                x, y, z = surface_point(surface, try_x, try_y)
+                column, row = project(camera, x, y, z)
+                error_c, error_r = column - j, row - i
+                error = math.sqrt(error_c * error_c + error_r * error_r)
+                if error < best:
+                    base_x, base_y, best = try_x, try_y, error
+                    if best < CONVERGED:
+                        break
+                    ax, ay, az, bx, by, bz = surface_tangents(surface, base_x, base_y)
+                    ca, ra = _project_tangent(camera, x, y, z, ax, ay, az)
+                    cb, rb = _project_tangent(camera, x, y, z, bx, by, bz)
+                    determinant = ca * rb - cb * ra
+                    move_x = (cb * error_r - rb * error_c) / determinant
+                    move_y = (ra * error_c - ca * error_r) / determinant
+                else:
+                    move_x, move_y = 0.5 * move_x, 0.5 * move_y
+                try_x, try_y = base_x + move_x, base_y + move_y
+            X[i, j], Y[i, j], residual[i, j] = base_x, base_y, best
 
 
 @in_parallel
