@@ -21,9 +21,9 @@ from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.virtual_rig import VirtualRig
 
-SPEED, END = 6e-6, 1.2e-4  # [m/s] of the crosshead, and where it reaches the force [m]
+SPEED, END = 6e-6, 1.7e-4  # [m/s] of the crosshead, and where it reaches the force [m]
 LOADED = 4e-4  # strain beyond the play of the grips
-PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 200}}}"
+PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 300}}}"
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def moving(results: xr.Dataset) -> xr.Dataset:
 def test_force_and_maps_at_many_instants_without_a_hold(
     pulled: RecordedExperiment, results: xr.Dataset, moving: xr.Dataset
 ) -> None:
-    assert "the force of 20" in pulled.output, "the condition ends the move"
+    assert "the force of 30" in pulled.output, "the condition ends the move"
     assert moving.sizes["step"] >= 2, "many more on a computer without other work"
     assert results.sizes["step"] - moving.sizes["step"] <= 3, "the step at rest, and stacks at the end of the move"
     assert (moving.error == "").all()
