@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns import fringe_sequence
+from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import moving_sequence
 from fringedic.recording.every_frame import _Frame, _OfWindow, _Stacks
 from fringedic.recording.topics import RawMessage
@@ -15,7 +16,9 @@ RESTING = fringe_sequence(160, 120, [160, 20], [4, 4]).patterns
 COARSE, FINE = 5, 8  # frames before the finest pitch, and of it
 
 
-def read(*steps: tuple[int, Iterable[int]], patterns=MOVING) -> list[tuple[int, int, bytes]]:
+def read(
+    *steps: tuple[int, Iterable[int]], patterns: Sequence[ProjectedPattern] = MOVING
+) -> list[tuple[int, int, bytes]]:
     """Return (step, index, content) of the exposures that follow from frames of these steps."""
     stacks, seen = _Stacks(), []
 
@@ -26,8 +29,8 @@ def read(*steps: tuple[int, Iterable[int]], patterns=MOVING) -> list[tuple[int, 
                 assert count == len(patterns)
                 seen.append((step, index, bytes(each.data)))
             else:
-                step, index = each.data.decode().split(".")
-                seen.append((100 * int(step), int(index), each.data))
+                number, frame = each.data.decode().split(".")
+                seen.append((100 * int(number), int(frame), each.data))
 
     for step, frames in steps:
         for index in frames:
