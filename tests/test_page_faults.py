@@ -9,7 +9,7 @@ import shutil
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -1008,9 +1008,12 @@ def left_in_english(texts: list[str], language: str) -> list[str]:
     def pattern(sentence: str) -> re.Pattern[str]:
         return re.compile(".+".join(map(re.escape, re.split(r"\{\w+\}", sentence))))
 
-    changed = {english: other for english, other in catalogues()[language].items() if english != other}
-    long = [each for each in changed if len(re.sub(r"\{\w*\}|\W", "", each)) >= SHORTEST]
-    english, others = [pattern(each) for each in long], [pattern(each) for each in catalogues()[language].values()]
+    def telling(sentences: Iterable[str]) -> list[re.Pattern[str]]:
+        return [pattern(each) for each in sentences if len(re.sub(r"\{\w*\}|\W", "", each)) >= SHORTEST]
+
+    catalogue = catalogues()[language]
+    english = telling(each for each, other in catalogue.items() if each != other)
+    others = telling(catalogue.values())
     shown = {text.strip() for text in texts}
     found = {text for text in shown if any(each.fullmatch(text) for each in english)}
     return sorted(text for text in found if not any(each.fullmatch(text) for each in others))
@@ -1035,15 +1038,23 @@ def test_the_page_in_another_language(browser: Browser, site: Site, rig: ShownRi
             expect(other.locator("main .bar span").first).not_to_be_empty()
         for shown in (rig.state["procedure"], procedure()) if name == "run" else (rig.state["procedure"],):
             rig.show(procedure=shown)
-            expect(other.locator("#activity")).to_have_count(1 if name == "run" and shown["state"] else 0)
+            is_running = name == "run" and shown["state"] == RUNNING
+            expect(other.locator("#activity")).to_be_visible(visible=is_running)
             other.click("#help")
-            for width in (700, NARROW["width"], WIDE["width"]):
+            for width in (700, NARROW["width"]):
                 other.set_viewport_size({"width": width, "height": 900})
                 assert other.evaluate("() => document.documentElement.scrollWidth") <= width, (name, width)
                 assert other.evaluate(CUT) == [], (name, width)
-            assert left_in_english(other.evaluate(TEXTS), language) == [], name
+            texts = other.evaluate(TEXTS)
+            assert left_in_english(texts, language) == [], name
+            assert not [each for each in texts if "undefined" in each or "[object" in each], name
             other.click("#help")
         rig.show(procedure=running)
+    other.goto(f"{site.origin}/#setup")
+    for typed, problem in (("1,234", ""), ("1.234", "1,234")):  # the separator of thousands of the language
+        other.fill("#exposure_ms", typed)
+        assert problem in (other.get_attribute("#exposure_ms", "title") or ""), typed
+        assert other.evaluate("() => document.querySelector('#exposure_ms').checkValidity()") == (not problem)
     other.goto(f"{site.origin}/#run")
     expect(other.locator("#facts")).to_contain_text("450,5 N")
     other.select_option("#language", "en")

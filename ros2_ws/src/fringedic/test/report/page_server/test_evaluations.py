@@ -60,7 +60,7 @@ def test_an_evaluation_is_made_beside_the_results_and_opened(site: Site, cookie:
             assert time.monotonic() < until
             time.sleep(0.3)
         found = listed(site, cookie)
-        assert (found["job"]["state"], found["job"]["words"]) == ("done", "coarse is complete")
+        assert (found["job"]["state"], found["job"]["words"]["template"]) == ("done", "{name} is complete")
         assert [(each["name"], each["report"]) for each in found["evaluations"]] == [("coarse", True)]
         assert found["evaluations"][0]["settings"]["overrides"] == {"dic.window": 40}
         assert "exists already" in post(site, "run", {"name": "coarse", "settings": {}}, cookie).message

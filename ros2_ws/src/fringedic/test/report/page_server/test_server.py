@@ -141,7 +141,7 @@ def test_only_the_driver_gives_commands_and_everybody_may_request_a_hold(site: S
         first.recv(5)
         assert site.post("start", START, cookie).message == "started"
         refused = site.post("start", START, other)
-        assert (refused.status, refused.message) == (409, "browser 1 (127.0.0.1) drives: ask for the wheel first")
+        assert (refused.status, refused.message) == (409, "browser 1 (127.0.0.1) drives: ask for the wheel first.")
         assert site.post("hold", {}, other).message == "there is no machine"
         assert site.post("wheel", {"action": "ask"}, other).status == 200
         assert site.post("wheel", {"action": "give"}, cookie).status == 200

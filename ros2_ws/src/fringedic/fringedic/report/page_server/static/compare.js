@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { make, number, options, patch, scaled, withSigma } from "./elements.js";
-import { date, known, t } from "./language.js";
+import { date, decimal, known, t } from "./language.js";
 import { colourBar, MapCanvas, usualRange, valueAt } from "./map_canvas.js";
 import { newest, palettes, testTopics, tile, tried } from "./server.js";
 import { latest, listen } from "./stream.js";
@@ -17,6 +17,8 @@ export function show(place) {
   const end = listen("tests", () => view.offer());
   return end;
 }
+
+const entered = (value) => (typeof value === "number" ? decimal(value) : value);
 
 class CompareView {
   constructor() {
@@ -83,7 +85,7 @@ class CompareView {
   paintEntries() {
     const tests = kept.names.map((name) => (latest("tests") ?? []).find((each) => each.name === name));
     const rows = [[t("result"), (test) => known(test.verdict)], [t("date"), (test) => date(test.when)],
-      ...[...new Set(tests.flatMap((test) => Object.keys(test?.answers ?? {})))].map((name) => [known(name), (test) => test.answers?.[name] ?? "–"])];
+      ...[...new Set(tests.flatMap((test) => Object.keys(test?.answers ?? {})))].map((name) => [known(name), (test) => entered(test.answers?.[name] ?? "–")])];
     const cells = (value) => tests.map((test) => make("td", { class: "words" }, test ? String(value(test)) : "–"));
     patch(this.entries, ...rows.map(([name, value]) => {
       const [one, two] = cells(value);

@@ -143,7 +143,7 @@ class EvaluateView {
     patch(this.seen, make("div", { class: "panel" },
       make("div", { class: "scroll" }, make("table", {},
         make("thead", {}, make("tr", {}, ...["", t("before"), t("with the settings")].map((each) => make("th", {}, each)))),
-        make("tbody", {}, ...found.rows.map(({ quantity, unit, before, after }) => make("tr", {}, ...[`${quantity} [${unit}]`, decimal(before), decimal(after)].map((each) => make("td", {}, each))))))),
+        make("tbody", {}, ...found.rows.map(({ quantity, unit, before, after }) => make("tr", {}, make("td", { lang: "en" }, `${quantity} [${unit}]`), ...[before, after].map((each) => make("td", {}, decimal(each)))))))),
       ...(found.pictures ? [picture("before"), picture("after")] : [])));
   }
 

@@ -5,9 +5,10 @@ const REMEMBERED = "fringedic.language";
 const ENGLISH = { language: "en", languages: ["en"], sentences: {} };
 const wanted = [localStorage.getItem(REMEMBERED), ...navigator.languages].filter(Boolean);
 const found = await fetch(`/words?languages=${encodeURIComponent(wanted.join(","))}`).then((answer) => answer.json()).catch(() => ENGLISH);
-const { language, languages, sentences } = found;
+const { language, languages } = found;
+const sentences = Object.assign(Object.create(null), found.sentences); // without words of its own, such as constructor
 const region = navigator.languages.find((each) => each.split("-")[0] === language) ?? language; // de-CH has a decimal point
-const separator = new Intl.NumberFormat(region).formatToParts(0.5).find(({ type }) => type === "decimal").value;
+const separator = language === "en" ? "." : new Intl.NumberFormat(region).formatToParts(0.5).find(({ type }) => type === "decimal").value;
 
 document.documentElement.lang = language;
 
@@ -18,7 +19,7 @@ export const t = (sentence, values = {}) => (sentences[sentence] ?? sentence).re
 // which stays as it is: findings of the library are English, and names are those that a person has given.
 export function known(text) {
   if (!text?.template) return sentences[text] ?? text;
-  const shown = ([name, value]) => [name, /^[-+]?\d+\.\d+/.test(value) ? decimal(value) : known(value)];
+  const shown = ([name, value]) => [name, /^[-+]?\d+\.\d+(e[-+]\d+)?$/.test(value) ? decimal(value) : known(value)];
   return t(text.template, Object.fromEntries(Object.entries(text.values).map(shown)));
 }
 

@@ -233,7 +233,7 @@ function factList() {
     [t("step"), step ? `${step.step}: ${stage({ activity: step.stage, ...step })}` : t("none yet")],
     [t("recorder"), recorder ? t("{state}, images: {images}, lost: {lost}", { state: known(recorder.state), images: recorder.images, lost: recorder.missing_images }) + (recorder.error ? `: ${recorder.error}` : "") : t("not connected")],
     [t("disk"), recorder?.free_gb ? `${t("{size} GB free", { size: decimal(recorder.free_gb) })}${left}` : "–"],
-    [t("calibration"), (rig.calibration ?? []).join(" ") || "–"],
+    [t("calibration"), (rig.calibration ?? []).join(" ") || "–", "en"],
   ];
-  return entries.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);
+  return entries.flatMap(([name, value, lang = null]) => [make("dt", {}, name), make("dd", { lang }, value)]);
 }
