@@ -13,6 +13,7 @@ stamps=$venv/stamps
 log=$root/setup.log
 needed_mb=4000 # 2.3 GB stay; built distributions and the workspace come on top
 pythons="3.11, 3.12, 3.13 or 3.14"
+without="; PyPy and free-threaded builds have no packages of ROS 2"
 
 stop() {
     printf 'set-up: %s\n' "$1" >&2
@@ -51,6 +52,8 @@ describe() {
 import importlib.util, os, sys, sysconfig
 if not (3, 11) <= sys.version_info[:2] <= (3, 14):
     sys.exit(1)
+if sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
+    sys.exit(1)  # ROS 2 and others have no packages for PyPy and for Python without its lock
 executable = os.path.realpath(sys._base_executable)
 venv = all(importlib.util.find_spec(module) for module in ("venv", "ensurepip"))
 print("python%d.%d" % sys.version_info[:2], executable, sysconfig.get_path("include"), venv, sep="|")
@@ -61,13 +64,13 @@ QUESTION
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
-        describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python $pythons: name one that is, or unset PYTHON"
+        describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python $pythons: name one that is, or unset PYTHON$without"
         return
     fi
     for candidate in "$@" python3 python3.12 python3.13 python3.14 python3.11; do
         describe "$candidate" && return
     done
-    stop "Python $pythons is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
+    stop "Python $pythons is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=...$without"
 }
 
 # Debian keeps the headers of Python in a package of their own; unpacked inside the environment they need no root.

@@ -99,6 +99,20 @@ def test_named_python_does_not_suit(machine: Machine) -> None:
     assert "PYTHON=/bin/false is not Python 3.11, 3.12, 3.13 or 3.14: name one that is" in machine.complaint()
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        'import sys; sys.implementation.name = "pypy"',
+        'import sysconfig; sysconfig.get_config_var = {"Py_GIL_DISABLED": 1}.get',
+    ],
+)
+def test_python_without_packages(machine: Machine, kind: str) -> None:
+    machine.customise_python(kind)
+    sentence = machine.complaint()
+    assert "is needed and Python 3." in sentence
+    assert sentence.endswith("PyPy and free-threaded builds have no packages of ROS 2")
+
+
 def test_missing_venv_module(machine: Machine) -> None:
     machine.customise_python('import sys; sys.modules["ensurepip"] = None')
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
