@@ -43,6 +43,11 @@ _LARGEST_RELATIVE = 0.15  # residuals over modulation, where the noise is not kn
 _ONE_FRAME = 0.7  # of the way from an equal share of the residuals to all of them
 _SMALLEST_CONTRAST = 0.5  # that motion blur leaves
 _LARGEST_DRIFT = 100.0  # [rad] between two frames: sixteen fringes, whose motion no frame would resolve
+_LATTICE = 4  # [px] between the pixels whose orders are compared
+_FEWEST_POINTS = 100  # of it
+_CONTRADICTION = (
+    0.25  # fringes from a whole number, and part of the points: half of them where the phase is another one
+)
 _NEIGHBOURS = 2 * CELL + 1  # [px]: the noise of their mean drift does not matter
 
 
@@ -533,10 +538,44 @@ def _unwrap(
     phases.append(wrapped)
     variances.append(sigma**2)
     phase = np.empty(shape, f4)
+    _check_coarse_pitches(phases, variances, ratios, good)
     find_orders(np.stack(phases), np.stack(variances), np.array(ratios), good, phase)
     if prediction is not None:
         phase = _follow(phase, sigma, good, prediction, absolute=len(pitches) > 1)
     return phase, good
+
+
+def _check_coarse_pitches(
+    phases: Sequence[np.ndarray], variances: Sequence[np.ndarray], ratios: Sequence[float], good: np.ndarray
+) -> None:
+    """Raise `StepError` where the finest pitch is not that of the coarser ones, on pixels of a lattice.
+
+    Beyond the motion that its shifts follow, a wave has the same frames as one that runs the other way.
+    """
+    if len(phases) < 2:
+        return
+    lattice = (slice(None, None, _LATTICE), slice(None, None, _LATTICE))
+    coarser, known = np.empty(good[lattice].shape, f4), good[lattice].copy()
+    levels = range(len(phases) - 1)
+    find_orders(
+        np.stack([phases[k][lattice] for k in levels]),
+        np.stack([variances[k][lattice] for k in levels]),
+        np.array(ratios[:-1]),
+        known,
+        coarser,
+    )
+    finer = ratios[-1]
+    turns = (coarser * f4(finer) - phases[-1][lattice]) / f4(2 * np.pi)
+    doubt = CONFIDENCE * np.sqrt(finer**2 * variances[-2][lattice] + variances[-1][lattice])
+    with np.errstate(invalid="ignore"):
+        known &= doubt < np.pi / 2
+    away = np.abs(turns - np.round(turns))[known] > _CONTRADICTION
+    if away.size >= _FEWEST_POINTS and away.mean() > _CONTRADICTION:
+        raise StepError(
+            f"the coarser fringes contradict the finest ones on {100 * away.mean():.0f} % of the surface: it moves the "
+            "other way than the shifts are for (sequence.motion_fringes), or faster than they follow",
+            code=ErrorCode.SURFACE_MOVED,
+        )
 
 
 def _mean_with_even_drift(fit: _Fit) -> np.ndarray:

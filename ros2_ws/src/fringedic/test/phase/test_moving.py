@@ -101,6 +101,14 @@ def test_a_shift_that_follows_the_motion_is_refused() -> None:
         )
 
 
+def test_a_surface_that_runs_the_other_way_is_refused() -> None:
+    """Its frames are those of a wave that stands still, whose orders were wrong on half of the surface."""
+    patterns = patterns_of(-1)
+    frames, times = frames_of(Motion(-3.0, 0.3), patterns)
+    with pytest.raises(StepError, match=r"the coarser fringes contradict the finest ones on \d\d % of the surface"):
+        demodulate_moving(frames, times, patterns, motion_in_image(Motion(-3.0, 0.3)), SETTINGS)
+
+
 def test_a_surface_that_outruns_the_shifts_is_measured_with_a_prediction(at_rest: float) -> None:
     motion, patterns = Motion(3.5), patterns_of(1)
     frames, times = frames_of(motion, patterns)
