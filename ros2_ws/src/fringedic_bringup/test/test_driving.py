@@ -150,7 +150,7 @@ class Rig:
 
     def measure_while_moving(self, *_: object, **__: object) -> SimpleNamespace:
         self.move()
-        return SimpleNamespace(position=1e-3, force=0.0, force_reached=False)
+        return SimpleNamespace(position=1e-3, force=0.0, force_reached=False, error_code=0)
 
     def highest_step(self, experiment: str) -> int:
         return self.used[-1] if self.used and experiment == EXPERIMENT else -1
@@ -390,7 +390,8 @@ def test_a_programme_does_not_go_on_when_the_zero_of_its_strain_is_lost(
     entries = (*rig.graph.nodes, NodeEntry("extensometer", "dic_node", "extensometer"))
     rig.graph = Graph("rig", entries)
     steps = [{}, {"position_mm": 1.0, "until": {"strain_above_percent": 2}}]
-    monkeypatch.setattr(rig, "move", lambda *_, **__: SimpleNamespace(position=0.0, force=0.0, force_reached=False))
+    ended = SimpleNamespace(position=0.0, force=0.0, force_reached=False, error_code=0)
+    monkeypatch.setattr(rig, "move", lambda *_, **__: ended)
     driven = drive_steps(rig, monkeypatch, steps)
     assert ("the strain would count from the present load" in driven.ended_early) is is_lost
     if is_lost:

@@ -420,8 +420,11 @@ class _Driver:
         if ended.force_reached and (condition := until.met(Reading({FORCE.name: ended.reached_force}))) is not None:
             conditions.insert(0, condition)
         where = f"step {self.number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
-        why = condition_sentence(conditions[0]) if conditions else "no condition was met before its position"
-        return f"{where}: {why}"
+        if conditions:
+            return f"{where}: {condition_sentence(conditions[0])}"
+        if ended.error_code == MoveCrosshead.Result.CANCELLED:
+            return f"{where}: the machine stood still, and the end of its move was requested"
+        return f"{where}: no condition was met before its position"
 
     def _tell(self, text: str) -> None:
         self._progress.step(self.number, self._last, text)
