@@ -28,11 +28,11 @@ export function show(place) {
     return select;
   };
   const choices = { x: choice("x"), y: choice("y") };
-  let known = "";
+  let offeredNames = "";
   const offer = (signals) => {
     const names = JSON.stringify(signals.map(({ name, unit, source }) => [name, unit, source]));
-    if (names === known) return; // values alone have changed: a list that a person has opened stays
-    known = names;
+    if (names === offeredNames) return; // values alone have changed: a list that a person has opened stays
+    offeredNames = names;
     const offered = signals.map(({ name, unit, source }) => [SIGNAL + name, `${known(name)} [${unit}]${source && ` (${source})`}`]);
     for (const [name, select] of Object.entries(choices)) {
       options(select, [...offered, ...Object.entries(VALUES).map(([key, [label]]) => [key, label])], kept[name]);
