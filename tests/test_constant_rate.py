@@ -21,7 +21,7 @@ from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.virtual_rig import VirtualRig
 
-SPEED, END = 6e-6, 1.7e-4  # [m/s] of the crosshead, and where it reaches the force [m]
+SPEED, END = 6e-6, 1.73e-4  # [m/s] of the crosshead, and where it reaches the force [m]
 LOADED = 4e-4  # strain beyond the play of the grips
 PULL = "{experiment: pull, continuous: {to_mm: 0.5, speed_mm_per_s: 0.006, until: {force_above_n: 300}}}"
 
