@@ -197,6 +197,8 @@ def _strain_rate_entry(moving: xr.Dataset) -> Entry:
     curve = strain_curve(moving)
     seconds = np.diff(moving["time"].values.astype("datetime64[ns]")) / np.timedelta64(1, "s")
     rates = {name: 100 * np.diff(curve[name].values) / seconds for name in ("e_11", "e_22")}
+    if not all(np.isfinite(each).any() for each in rates.values()):
+        return Entry("strain rate", None)
     axial = max(rates, key=lambda name: float(np.nanmedian(np.abs(rates[name]))))
     variance = curve[f"sigma_{axial}"].values ** 2 / 2  # that of the reference, the other half, cancels
     sigma = float(np.nanmedian(100 * np.sqrt(variance[1:] + variance[:-1]) / seconds))
