@@ -19,6 +19,7 @@ from fringedic.command import (
     models,
     recordings,
     rig_setup,
+    sensors,
     view,
 )
 from fringedic.command.app import app
@@ -41,6 +42,7 @@ __all__ = [
     "models",
     "recordings",
     "rig_setup",
+    "sensors",
     "view",
 ]
 INTERRUPTED = 130

@@ -39,7 +39,7 @@ from fringedic.command.app import (
     say,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ExportError, FringedicError, StepFailedError
+from fringedic.errors import ConfigurationError, ExportError, FringedicError, StepFailedError
 
 
 @app.command(
@@ -60,6 +60,10 @@ def process(  # noqa: PLR0913 (options of a command)
         Path | None,
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
     ] = None,
+    registration: Annotated[
+        Path | None,
+        typer.Option(help="Measure all sensors and their joined surface, with their poses from 'fringedic register'."),
+    ] = None,
     overwrite: Overwrite = False,
     every_frame: Annotated[
         bool,
@@ -71,7 +75,10 @@ def process(  # noqa: PLR0913 (options of a command)
     ] = False,
     why: Why = "",
 ) -> None:
-    """Process recordings again without nodes and write the results as datasets."""
+    """Process recordings again without nodes and write the results as datasets.
+
+    All sensors of a recording are measured, and their joined surface, if registration.yaml is beside it.
+    """
     from fringedic.datasets import open_experiment, process_bag
     from fringedic.datasets.processing import PROCESSED_TOPICS
     from fringedic.datasets.sentences import confirmation_sentence, missing_settings_sentence, references_sentence
@@ -88,9 +95,30 @@ def process(  # noqa: PLR0913 (options of a command)
 
     def work(place: str) -> None:
         with local_copy(place, PROCESSED_TOPICS) as bag:
-            measure(place, bag)
+            sensors, poses = _sensors_to_join(bag, sensor, registration)
+            if poses is None:
+                measure(place, bag, sensor)
+                return
+            if model is not None or output is not None:
+                raise ConfigurationError("--calibration and --output are of one sensor: choose it with --sensor")
+            join_all(place, bag, sensors, poses)
 
-    def measure(place: str, bag: Path) -> None:
+    def join_all(place: str, bag: Path, sensors: list[str], poses: Path) -> None:
+        from fringedic.sensors import join_recording
+        from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
+
+        for each in sensors:
+            say(f"sensor {each}")
+            try:
+                measure(place, bag, each)
+            except FringedicError as error:
+                say(f"sensor {each}: {error}")
+        written = join_recording(bag, poses, overwrite=overwrite)
+        with open_experiment(written) as dataset:
+            sentences = [overlap_sentence(dataset), *sensor_error_sentences(dataset)]
+        say(f"joined surface: {written}", *filter(None, sentences), next_reading(written))
+
+    def measure(place: str, bag: Path, sensor: str | None) -> None:
         reader = BagReader(bag, sensor=sensor)
         if model is None:
             require_calibration(reader)
@@ -128,6 +156,23 @@ def process(  # noqa: PLR0913 (options of a command)
         output.mkdir(parents=True, exist_ok=True)
     with because(why):
         for_each(bags, work)
+
+
+def _sensors_to_join(bag: Path, sensor: str | None, registration: Path | None) -> tuple[list[str], Path | None]:
+    """Return the sensors of a recording and the file with their poses; None if one sensor is to be measured."""
+    from fringedic.recording.reader import BagReader
+    from fringedic.sensors.recorded import registration_of
+
+    if sensor is not None:
+        if registration is not None:
+            raise ConfigurationError("--registration joins all sensors: leave --sensor out")
+        return [sensor], None
+    sensors = sorted(BagReader(bag).sensors)
+    if len(sensors) < 2:
+        if registration is not None:
+            raise ConfigurationError(f"{bag} contains one sensor only: leave --registration out")
+        return sensors, None
+    return sensors, registration or registration_of(bag)
 
 
 def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:

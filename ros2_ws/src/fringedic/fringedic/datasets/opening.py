@@ -28,7 +28,7 @@ from fringedic.datasets.quantities import (
 )
 from fringedic.datasets.stores import SUFFIXES, dataset_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError
-from fringedic.frames.sensor import SENSOR, choice_of_sensors
+from fringedic.frames.sensor import JOINED, SENSOR, choice_of_sensors
 from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.signals import FORCE, POSITION, attachment_digests
@@ -73,7 +73,8 @@ def open_experiment(path: str | os.PathLike[str], *, sensor: str | None = None) 
         none, it is made from the derived topics. Also the address of a dataset, a run or a recording in an object store
         (``s3://...`` or another one that fsspec knows), whose maps are fetched when they are used.
     sensor
-        Name of the sensor, if there are several, each with a dataset of its own.
+        Name of the sensor, if there are several, each with a dataset of its own; by default the joined surface of all,
+        if there is one (``joined``).
 
     Returns
     -------
@@ -219,6 +220,8 @@ def _chosen(
             outdated = outdated or f"{file}: {reason}"
     if outdated and not found:
         raise DatasetError(outdated)
+    if sensor is None and JOINED in found:  # the surface of all sensors
+        return found[JOINED]
     if len(found) > 1:
         raise DatasetError(choice_of_sensors(place, found))
     return next(iter(found.values()), None)

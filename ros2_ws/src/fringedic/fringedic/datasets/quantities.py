@@ -71,6 +71,14 @@ CLOSURES: dict[str, Quantity] = {  # of the desk, not of the nodes
     "displacement_closure_x": Quantity("standard deviations", "what an independent check leaves of displacement_x"),
     "displacement_closure_y": Quantity("standard deviations", "what an independent check leaves of displacement_y"),
 }
+JOINED_MAPS: dict[str, Quantity] = {  # of the joined surface of several sensors
+    "overlap_shape": Quantity("standard deviations", "height of one sensor minus that of the other"),
+    "overlap_u": Quantity("standard deviations", "u of one sensor minus that of the other"),
+    "overlap_v": Quantity("standard deviations", "v of one sensor minus that of the other"),
+    "overlap_w": Quantity("standard deviations", "w of one sensor minus that of the other"),
+    "sensors": Quantity("1", "number of sensors that measured the point"),
+    "sigma_shape": Quantity("m", "standard deviation of the position along the normal"),
+}
 SCALARS: dict[str, Quantity] = {
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),

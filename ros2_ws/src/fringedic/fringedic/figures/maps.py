@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,7 @@ from fringedic.evaluation.truth import truth_errors
 from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
+from fringedic.frames.sensor import JOINED
 from fringedic.signals import FORCE, POSITION
 from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.arguments import check_arguments, path
@@ -52,9 +53,16 @@ class Scale(NamedTuple):
     high: float
 
 
+def _with_displacement(value: Any) -> Any:
+    """Check a dataset of one sensor, or of the joined surface of several, which has no displacement in an image."""
+    joined = isinstance(value, xr.Dataset) and value.attrs.get("sensor") == JOINED
+    names = ("u", "v") if joined else ("displacement_x", "displacement_y")
+    return dataset_of(*names, over=("step", "row", "column"))(value)
+
+
 @check_arguments(
     DatasetError,
-    dataset=dataset_of("displacement_x", "displacement_y", over=("step", "row", "column")),
+    dataset=_with_displacement,
     folder=path,
 )
 def save_pictures(
@@ -116,7 +124,7 @@ def save_pictures(
     for step in dataset.step.values:
         number = int(step)
         measured = with_principal_strains(dataset.sel(step=step))
-        if not np.isfinite(measured["displacement_x"]).any():
+        if not np.isfinite(measured["displacement_x" if "displacement_x" in measured else "w"]).any():
             continue
         words = [f"{measured.attrs.get('experiment', 'experiment')}, step {number}"]
         if "image" in measured:

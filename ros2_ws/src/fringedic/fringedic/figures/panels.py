@@ -70,10 +70,14 @@ RESOLUTIONS = tuple(
     Panel(f"resolution_{panel.name}", f"expected smoothing error of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
 )
 GREY_RESIDUAL = Panel("grey_residual", "grey-level residual", symmetric=True)
+OVERLAP = tuple(
+    Panel(f"overlap_{name}", f"sensors differ in {title}", symmetric=True)
+    for name, title in {"shape": "height", "u": "u", "v": "v", "w": "w"}.items()
+)
 ERRORS = tuple(Panel(f"error_{name}", f"error of {name}", symmetric=True) for name in "zuvw")
 ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *FLAT_STRAIN[:2], *DISPLACEMENT_IN_IMAGE)
 _PICTURES = {
-    "": ((HEIGHT, *DISPLACEMENT), DISPLACEMENT[:2], DISPLACEMENT_IN_IMAGE),
+    "": ((HEIGHT, *DISPLACEMENT), DISPLACEMENT, DISPLACEMENT[:2], DISPLACEMENT_IN_IMAGE),
     "strain": ((*STRAIN, *PRINCIPAL), STRAIN, (*FLAT_STRAIN, *PRINCIPAL, VON_MISES)),
     "stress": (STRESS,),
     "sigma": (
@@ -84,13 +88,14 @@ _PICTURES = {
         SIGMAS_IN_IMAGE,
     ),
     "resolution": (RESOLUTIONS[:3], RESOLUTIONS[3:]),
+    "overlap": (OVERLAP,),
 }
 _ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, *STRESS, VON_MISES)
 _PANELS = {
     panel.name: panel
     for panels in (
         (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_TWO_IMAGES),
-        (*SIGMAS_OF_STRAIN, *RESOLUTIONS, GREY_RESIDUAL, *ERRORS),
+        (*SIGMAS_OF_STRAIN, *RESOLUTIONS, GREY_RESIDUAL, *OVERLAP, *ERRORS),
     )
     for panel in panels
 }
@@ -102,7 +107,10 @@ def panel_of(name: str) -> Panel:
 
 
 def pictures_of(step: xr.Dataset) -> dict[str, tuple[Panel, ...]]:
-    """Return the panels of the pictures of a step by name: displacement (""), strain, stress, sigma, resolution."""
+    """Return the panels of the pictures of a step by name.
+
+    They are displacement (""), strain, stress, sigma, resolution and overlap.
+    """
     measured = {
         str(name) for name, values in step.data_vars.items() if values.ndim == 2 and np.isfinite(values.values).any()
     }

@@ -11,6 +11,8 @@ from pydantic import AfterValidator
 
 SENSOR = "sensor"
 """Name of a sensor that was given none, also in recordings, calibrations and datasets of earlier versions."""
+JOINED = "joined"
+"""Name of the surface of several sensors together in datasets and names of files; do not name a sensor so."""
 _TOKEN = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 60
 

@@ -33,7 +33,7 @@ from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS
 from fringedic.figures.residuals import residual_figure
 from fringedic.figures.surface import surface_figure
 from fringedic.frames.region import Point, Region
-from fringedic.frames.sensor import file_of
+from fringedic.frames.sensor import JOINED, file_of
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
 from fringedic.recording.reader import BagReader
@@ -56,6 +56,7 @@ from fringedic.report.templates import (
 from fringedic.report.warnings import warnings
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
+from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
 from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.arguments import check_arguments, optional, path, several, whole
 
@@ -210,7 +211,13 @@ def _content(
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "simulated": data.simulated,
         "confirmation": confirmation_sentence(dataset),
-        "warnings": warnings(data, static, floors) + failed + unread + unreadable + unused,
+        "overlap": overlap_sentence(dataset),
+        "warnings": warnings(data, static, floors)
+        + sensor_error_sentences(dataset)
+        + failed
+        + unread
+        + unreadable
+        + unused,
         "static_steps": static,
         "floors": [noise_floor_row(floor) for floor in floors],
         "noise": data.metadata.noise,
@@ -231,7 +238,7 @@ def _content(
 
 def _open_recording(place: Path | None, sensor: str) -> tuple[BagReader | None, list[str]]:
     """Open the recording beside a dataset, or tell why the page goes without: its results do not depend on it."""
-    if place is None:
+    if place is None or sensor == JOINED:  # exposures are those of each sensor, in its own report
         return None, []
     try:
         return BagReader(place, sensor=sensor), []

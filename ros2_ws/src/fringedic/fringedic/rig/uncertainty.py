@@ -41,6 +41,7 @@ def position_errors(
     row: ArrayLike,
     z: ArrayLike,
     orientation: Orientation = Orientation.VERTICAL,
+    directions: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the errors of measured positions for one standard deviation along each direction of the covariance.
 
@@ -52,6 +53,8 @@ def position_errors(
         Pixels [px] and the heights [m] of the points that they see, arrays of one shape (or that broadcast).
     orientation
         Direction of the fringes.
+    directions
+        Other directions (direction, parameter) than `principal_directions`, such as those of a file.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def position_errors(
             t = t - (seen - target) / (by_m * m_t + by_n * n_t)
         return np.moveaxis(camera + t[..., None] * rays, -1, 0)
 
-    steps = _PART * _directions(geometry)
+    steps = _PART * (principal_directions(geometry) if directions is None else directions)
     errors = [(position(centre + step) - position(centre - step)) / (2 * _PART) for step in steps]
     return np.array(errors).reshape(-1, 3, *column.shape)
 
@@ -171,8 +174,11 @@ def _positive_cubics(values: np.ndarray) -> np.ndarray:
     return np.stack([first, at_first, 3 * rise - 2 * at_first - at_last, at_first + at_last - 2 * rise], axis=-1)
 
 
-def _directions(geometry: RigGeometry) -> np.ndarray:
-    """Return steps (direction, parameter) with Sigma_p = sum of step step^T."""
+def principal_directions(geometry: RigGeometry) -> np.ndarray:
+    """Return one standard deviation along each direction of the covariance, (direction, parameter), SI and px.
+
+    The covariance of the parameters is the sum of the outer products of the directions.
+    """
     count = len(geometry.parameter_names)
     covariance = np.array(geometry.covariance).reshape(count, count)
     sigma = np.sqrt(np.diag(covariance))

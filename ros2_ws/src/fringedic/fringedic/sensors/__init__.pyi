@@ -1,0 +1,9 @@
+from .features import Feature as Feature
+from .features import measure_balls as measure_balls
+from .features import measure_plane as measure_plane
+from .join import join_sensors as join_sensors
+from .poses import SensorPose as SensorPose
+from .recorded import join_recording as join_recording
+from .recorded import register_recording as register_recording
+from .registration import Registration as Registration
+from .registration import register as register

@@ -1,0 +1,78 @@
+"""The joined surface of several sensors: differences over sigma, strain across the seam, and input that is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from analytic_sensors import Sensors
+
+from fringedic.errors import DatasetError
+from fringedic.sensors import Registration, join_sensors, register
+from fringedic.sensors.sentences import overlap_sentence
+
+
+class Case:
+    """Sensors with their registration, datasets and joined surface."""
+
+    def __init__(self, kind: str, seed: int) -> None:
+        self.sensors = Sensors(kind, seed)
+        self.registration: Registration = register(self.sensors.features(), self.sensors.models)
+        self.datasets = {name: self.sensors.dataset(name) for name in self.sensors.poses}
+        self.joined = join_sensors(self.datasets, self.registration)
+        self.step = self.joined.sel(step=1)
+
+
+@pytest.fixture(scope="module")
+def plate() -> Case:
+    return Case("plate", 11)
+
+
+def rms(values: np.ndarray) -> float:
+    return math.sqrt(float(np.nanmean(np.square(values))))
+
+
+def test_a_plate_is_one_surface_whose_displacement_is_within_its_uncertainty(plate: Case) -> None:
+    at = plate.sensors.in_frame_of_specimen(plate.step)
+    assert np.nanmax(at.points[0]) - np.nanmin(at.points[0]) > 0.088
+    assert plate.joined.attrs["sensor"] == "joined"
+    assert json.loads(plate.joined.attrs["chart"])["kind"] == "plane"
+    for name in ("u", "v", "w"):
+        assert 0.85 < rms(plate.step[f"overlap_{name}"].values) < 1.15
+    # the height differs by errors that all points of this rig have in common
+    assert rms(plate.step["overlap_shape"].values) < 3.0
+    assert overlap_sentence(plate.joined).startswith("Where two sensors overlap, their RMS difference in units of its")
+
+
+def test_the_noise_of_two_views_is_smaller_than_that_of_one(plate: Case) -> None:
+    several = plate.step["sensors"].values
+    at = plate.sensors.in_frame_of_specimen(plate.step)
+    error = at.motion - plate.sensors.displacement(at.points)
+    assert rms(error[2][several == 2]) < 0.75 * rms(error[2][several == 1])
+
+
+def test_what_cannot_be_joined_is_said_in_one_sentence(plate: Case) -> None:
+    left, right = plate.datasets.values()
+    registration = plate.registration
+    with pytest.raises(DatasetError, match="only the sensor left was measured: a joined surface needs two"):
+        join_sensors({"left": left}, registration)
+    with pytest.raises(DatasetError, match="the sensor 'top' has no pose in the registration, which contains left, ri"):
+        join_sensors({"left": left, "top": right}, registration)
+    with pytest.raises(DatasetError, match="the dataset of the sensor 'right' was given as that of 'left'"):
+        join_sensors({"left": right, "right": left}, registration)
+    with pytest.raises(DatasetError, match="the dataset of the sensor 'right' has no noise_z: process its recording"):
+        join_sensors({"left": left, "right": right.drop_vars("noise_z")}, registration)
+    other = json.loads(right.attrs["calibration"])
+    again = right.assign_attrs(calibration=json.dumps(other | {"identifier": "later"}))
+    with pytest.raises(DatasetError, match=r"'right' was measured with the calibration 'later', but registered"):
+        join_sensors({"left": left, "right": again}, registration)
+    swapped = right.assign_attrs(calibration=json.dumps(other | {"identifier": "of left"}))
+    with pytest.raises(DatasetError, match="'right' was measured with the calibration of 'left': the cameras or"):
+        join_sensors({"left": left, "right": swapped}, registration)
+    apart = left.isel(column=slice(0, 60)), right.isel(column=slice(-60, None))
+    with pytest.raises(DatasetError, match="surfaces of the sensors left, right do not overlap"):
+        join_sensors(dict(zip(("left", "right"), apart, strict=True)), registration)
+    with pytest.raises(DatasetError, match="count from different reference steps"):
+        join_sensors({"left": left, "right": right.assign(reference_step=right.reference_step + 1)}, registration)
