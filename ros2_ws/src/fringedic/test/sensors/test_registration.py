@@ -30,6 +30,31 @@ def pose_error(sensors: Sensors, found: Registration, sensor: str) -> np.ndarray
     return np.concatenate([rotation.as_rotvec(), np.subtract(pose.translation, turn.inv().apply(place - origin))])
 
 
+def test_poses_of_twelve_rigs_and_points_of_two_sensors_are_within_their_uncertainty() -> None:
+    scores, squares, apart, goes = [], [], [], 0
+    point = np.array([0.005, 0.002, 0.004])
+    for seed in range(12):
+        sensors = Sensors("plate", seed)
+        found = register(sensors.features(), sensors.models)
+        error, covariance = pose_error(sensors, found, "right"), found.pose_covariance("right")
+        scores.append(error @ np.linalg.solve(covariance, error) / 6)
+        squares.append(found.reduced_chi_square)
+        goes += found.verdict is RegistrationVerdict.GO
+        # one point, as both calibrations with their errors place it in the common frame
+        places, by_errors = [], []
+        for sensor, (rotation, translation) in sensors.poses.items():
+            own = rotation.inv().apply(point - translation)[:, None]
+            places.append(found.poses[sensor].apply(own + sensors.error(sensor, own))[:, 0])
+            by_errors.append(found.position_errors(sensor, sensors.models[sensor], own)[..., 0])
+        difference, by_error = places[0] - places[1], by_errors[0] - by_errors[1]
+        apart.append(difference @ np.linalg.solve(by_error @ found.common_covariance @ by_error.T, difference) / 3)
+    # means of 72, 252 and 36 squares of normal variables
+    assert abs(np.mean(scores) - 1) < 4 * math.sqrt(2 / 72)
+    assert abs(np.mean(squares) - 1) < 4 * math.sqrt(2 / 252)
+    assert abs(np.mean(apart) - 1) < 4 * math.sqrt(2 / 36)
+    assert goes >= 11
+
+
 def test_four_sensors_around_an_object_are_closed_to_a_ring() -> None:
     sensors = Sensors("cylinder", 3)
     found = register(sensors.features(), sensors.models, reference="b")
