@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-packages=(gir1.2-aravis-0.8 aravis-tools libgirepository1.0-dev libcairo2-dev pkg-config gcc xvfb x11-xserver-utils chromium)
+packages=(gir1.2-aravis-0.8 aravis-tools libgirepository1.0-dev libcairo2-dev pkg-config gcc xvfb x11-xserver-utils chromium firefox-esr)
 
 missing() {
     for package in "${packages[@]}"; do

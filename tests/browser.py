@@ -128,7 +128,8 @@ class ChromiumPage:
 class FirefoxPage:
     """A page of Firefox, driven by the protocol WebDriver BiDi.
 
-    Playwright 1.65 needs a command of this protocol that Firefox ESR does not have (``setMediaFeaturesOverride``).
+    Playwright 1.65 needs a command of this protocol that Firefox ESR does not have (``setMediaFeaturesOverride``). The
+    window never has the focus of the screen, so that no field has an event when one leaves it.
     """
 
     def __init__(self, connection: ClientConnection, size: ViewportSize, url: str) -> None:
@@ -179,8 +180,9 @@ class FirefoxPage:
         self._connection.send(json.dumps({"id": self._sent, "method": method, "params": parameters}))
         while (answer := json.loads(self._connection.recv(120))).get("id") != self._sent:
             entry = answer.get("params", {})
-            if answer.get("method") == "log.entryAdded" and entry["level"] == "error" and entry["type"] == "javascript":
-                self.errors.append(entry["text"])
+            is_error = answer.get("method") == "log.entryAdded" and entry["level"] == "error"
+            if is_error and entry["type"] == "javascript" and entry["source"].get("context") == self._context:
+                self.errors.append(entry["text"])  # not those of a report, which is another page
         assert answer["type"] == "success", answer
         return answer["result"]
 

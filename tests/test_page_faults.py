@@ -313,7 +313,7 @@ NOTE_ANSWERS = """() => {
 def test_hundred_of_hundred_presses_arrive(
     page: Page, site: Site, rig: ShownRig, state: str, record_property: Callable[[str, object], None]
 ) -> None:
-    """Every press arrives and is answered; ``--junitxml FILE`` keeps the times until the answers [s]."""
+    """Every press arrives and is answered; ``--junitxml FILE -o junit_family=xunit1`` keeps the times until then."""
     selectors = prepare(page, rig, state)
     durations = [0.03 + 0.97 * (37 * number % 100) / 99 for number in range(100)]
     page.evaluate(NOTE_ANSWERS)

@@ -100,7 +100,7 @@ function takeWheel(wheel) {
   const ask = button(waits ? t("Asked for the wheel") : t("Ask for the wheel"), { id: "ask", onclick: () => command("wheel", { action: "ask" }),
     why: waits ? t("{browser} has been asked: wait until the wheel is handed over.", { browser: known(wheel.driver) }) : "" });
   const who = wheel.drives ? t("You drive") : wheel.driver_present ? t("{browser} drives", { browser: known(wheel.driver) }) : t("Nobody drives");
-  patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
+  patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" && wheel.drives ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
 }
 
 const STATES = ["", t("runs"), t("pauses after this step"), t("is paused"), t("stops"), t("has ended"), t("has failed")];
