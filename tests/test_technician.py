@@ -192,7 +192,7 @@ READERS = [
     ("chromium", "desk", "keyboard"),
     ("chromium", "4k", "mouse"),
     ("firefox", "desk", "mouse"),
-    pytest.param(("firefox", "phone", "keyboard"), marks=pytest.mark.operate),  # too long for every check
+    pytest.param(("firefox", "phone", "mouse"), marks=pytest.mark.operate),  # too long for every check
     pytest.param(("firefox", "4k", "mouse"), marks=pytest.mark.operate),
 ]
 
