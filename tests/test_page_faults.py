@@ -1039,6 +1039,9 @@ def test_the_page_in_another_language(browser: Browser, site: Site, rig: ShownRi
             rig.show(procedure=shown)
             is_running = name == "run" and shown["state"] == RUNNING
             expect(other.locator("#activity")).to_be_visible(visible=is_running)
+            if name == "run" and not is_running:
+                other.check("#own")
+                expect(other.locator("#form fieldset").first).to_be_visible()
             other.click("#help")
             for width in (700, NARROW["width"]):
                 other.set_viewport_size({"width": width, "height": 900})
