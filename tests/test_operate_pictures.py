@@ -38,6 +38,7 @@ def picture(page: Page, request: pytest.FixtureRequest) -> Picture:
 
     def keep(name: str) -> None:
         if folder is not None:
+            page.evaluate("() => scrollTo(0, 0)")
             page.screenshot(path=folder / f"{name}.png")
 
     return keep
@@ -55,6 +56,7 @@ def test_live_view_shows_image_and_figures(page: Page, picture: Picture) -> None
     view(page, "live")
     live_frame(page)
     expect(page.locator("#figures dt").first).to_be_visible(timeout=WAIT_MS)
+    expect(page.locator("#live-state")).to_have_text("The projector shows white.")
     picture("operator_live")
 
 

@@ -55,7 +55,7 @@ class ProcedureServer:
         self._running: Job | None = None
         self._thread: threading.Thread | None = None
         self._next: Request | None = None
-        self._live: Request | None = requested("live")
+        self._live: Request | None = requested("live", "white")
         self._live_from = 0.0  # not before this time [s]
         self._figures: tuple[str, ...] = ()  # of the last live view
         self._list_file = place.own_file("setup.yaml")
