@@ -19,7 +19,7 @@ RADIUS = 0.02
 STRAIN, POISSON = 2e-3, 0.3
 ROWS, COLUMNS = 120, 160
 NOISE = 3e-6  # [m] of heights
-IN_PLANE = 1e-4  # [px] of displacements, white noise: negligible beside that of the heights
+IN_PLANE = 1e-6  # [px] of displacements: white noise, negligible beside that of the heights
 PLACES = 1e-3 * np.array(
     [
         ((-16.0, -9.0, 0.0), (15.0, -11.0, 3.0), (-2.0, 12.0, -4.0)),

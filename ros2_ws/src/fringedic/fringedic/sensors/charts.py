@@ -9,7 +9,7 @@ import numpy as np
 
 _FACING = math.cos(math.radians(65.0))  # normals farther from their mean need a cylinder
 _FACING_SHARE = 0.99
-_CLOSED = math.radians(350.0)  # of the circumference
+_SECTORS, _FILLED = 72, 70  # a circumference is closed if so many of its sectors contain points
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,5 +114,5 @@ def is_closed(chart: Chart, a: np.ndarray) -> bool:
     """Return whether points with the coordinate a cover the whole circumference of a cylinder."""
     if chart.is_plane:
         return False
-    bins = np.unique(np.floor(np.remainder(a, chart.circumference) / chart.circumference * 360))
-    return len(bins) >= math.degrees(_CLOSED)
+    sectors = np.floor(np.remainder(a, chart.circumference) / chart.circumference * _SECTORS)
+    return len(np.unique(sectors)) >= _FILLED

@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from analytic_sensors import Sensors
+import xarray as xr
+from analytic_sensors import POISSON, RADIUS, STRAIN, Sensors
 
 from fringedic.errors import DatasetError
 from fringedic.sensors import Registration, join_sensors, register
-from fringedic.sensors.sentences import overlap_sentence
+from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
 
 
 class Case:
@@ -30,6 +31,11 @@ def plate() -> Case:
     return Case("plate", 11)
 
 
+@pytest.fixture(scope="module")
+def cylinder() -> Case:
+    return Case("cylinder", 12)
+
+
 def rms(values: np.ndarray) -> float:
     return math.sqrt(float(np.nanmean(np.square(values))))
 
@@ -46,11 +52,56 @@ def test_a_plate_is_one_surface_whose_displacement_is_within_its_uncertainty(pla
     assert overlap_sentence(plate.joined).startswith("Where two sensors overlap, their RMS difference in units of its")
 
 
+@pytest.mark.parametrize("name", ["plate", "cylinder"])
+def test_strain_has_its_uncertainty_and_no_step_where_sensors_overlap(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    """In the overlap a part of the error is common to all points of a rig: one draw of a normal variable."""
+    case: Case = request.getfixturevalue(name)
+    several = case.step["sensors"].values
+    contraction = -POISSON * STRAIN
+    for strain, truth in (("e_11", contraction), ("e_22", STRAIN)):
+        error = case.step[strain].values - (truth + truth**2 / 2)
+        score = error / case.step[f"sigma_{strain}"].values
+        inside, beside = rms(score[several == 2]), rms(score[several == 1])
+        assert 0.85 < beside < 1.15
+        assert 0.5 < inside < 1.6
+        step = np.nanmean(error[several == 2]) - np.nanmean(error[several == 1])
+        assert abs(step) < 5e-6
+
+
 def test_the_noise_of_two_views_is_smaller_than_that_of_one(plate: Case) -> None:
     several = plate.step["sensors"].values
     at = plate.sensors.in_frame_of_specimen(plate.step)
     error = at.motion - plate.sensors.displacement(at.points)
     assert rms(error[2][several == 2]) < 0.75 * rms(error[2][several == 1])
+
+
+def test_a_cylinder_is_closed(cylinder: Case) -> None:
+    chart = json.loads(cylinder.joined.attrs["chart"])
+    assert (chart["kind"], chart["closed"]) == ("cylinder", True)
+    at = cylinder.sensors.in_frame_of_specimen(cylinder.step)
+    radius = np.hypot(at.points[0], at.points[2])
+    sigma = float(np.nanmean(cylinder.step["sigma_shape"]))
+    assert abs(np.nanmean(radius) - RADIUS) < 3 * sigma
+    assert np.isfinite(cylinder.step["w"].values).any(axis=0).all()
+    for axis in "xyz":
+        values = cylinder.step[axis].values
+        np.testing.assert_array_equal(values[:, 0], values[:, -1])
+    strain = cylinder.step["e_11"].values  # also of the first and the last column
+    assert np.isfinite(strain[len(strain) // 2]).all()
+
+
+def test_a_step_that_a_sensor_did_not_measure_is_that_of_the_others(plate: Case) -> None:
+    right = plate.datasets["right"]
+    nothing = {name: np.nan * right[name] for name in ("u", "v", "w")}
+    failed = right.assign(nothing | {"error": ("step", np.array(["the image is too dark"], object))})
+    both = plate.datasets | {"right": xr.concat([right, failed.assign_coords(step=[2])], "step")}
+    both["left"] = xr.concat([both["left"], both["left"].assign_coords(step=[2])], "step")
+    joined = join_sensors(both, plate.registration)
+    assert (joined["sensors"].sel(step=1) == 2).any()
+    assert not (joined["sensors"].sel(step=2) == 2).any()
+    assert sensor_error_sentences(joined) == ["Step 2 was measured without the sensor 'right': the image is too dark."]
 
 
 def test_what_cannot_be_joined_is_said_in_one_sentence(plate: Case) -> None:
