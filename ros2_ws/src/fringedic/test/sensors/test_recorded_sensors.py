@@ -1,0 +1,45 @@
+"""From recordings of two sensors to one report, by the commands that a user writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sensor_scene import BALLS, PLACES, drawn_model, record
+
+from fringedic.command import main  # noqa: F401 (has the subcommands)
+from fringedic.command.app import app
+from fringedic.datasets import open_experiment
+from fringedic.virtual_rig import virtual_sensors
+
+POSITION = 3e-4
+
+
+def test_balls_register_two_sensors_and_a_test_gives_one_surface_in_one_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    generator = np.random.default_rng(3)
+    rigs = virtual_sensors("plate", size="tiny")
+    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
+    places = [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]]
+    balls = record(tmp_path / "balls" / "bag", rigs, models, places)
+    bag = record(tmp_path / "test" / "bag", rigs, models, [(None, 0.0), (None, POSITION)])
+    app(["register", str(balls), "--balls-mm", "15", "--output", str(bag.parent)], standalone_mode=False)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "GO. The sensors agree within their uncertainty: 6 objects deviate by up to" in printed
+    app(["process", str(bag)], standalone_mode=False)
+    assert "joined surface: " in capsys.readouterr().out
+    with open_experiment(bag) as joined:
+        assert joined.attrs["sensor"] == "joined"
+        step = joined.sel(step=1)
+        for name in ("u", "v", "w"):
+            assert 0.75 < np.sqrt(np.nanmean(step[f"overlap_{name}"].values ** 2)) < 1.3
+        strain = POSITION / 80e-3
+        several = step["sensors"].values
+        error = step["e_22"].values - (strain + strain**2 / 2)
+        for count in (1, 2):
+            assert abs(np.nanmean(error[several == count])) < 20e-6
+    app(["report", str(bag), "--output", str(tmp_path / "report.html")], standalone_mode=False)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "Where two sensors overlap, their RMS difference in units of its standard deviation is: shape " in page
