@@ -102,7 +102,7 @@ def _registration(content: dict[str, Any]) -> Registration:
     poses = {
         name: SensorPose(
             tuple(math.radians(each) for each in values["rotation_degree"]),  # type: ignore[arg-type]
-            tuple(_MM * each for each in values["translation_mm"]),  # type: ignore[arg-type]
+            tuple(_MM * each for each in values["translation_mm"]),
         )
         for name, values in sensors.items()
     }

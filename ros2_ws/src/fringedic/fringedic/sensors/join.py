@@ -80,7 +80,7 @@ class _Part:
         distance, nearest = tree.query(np.stack([a.ravel(), grid.b.ravel()], axis=1), distance_upper_bound=reach)
         found = np.isfinite(distance)
         index = np.full(a.size, -1)
-        index[found] = where[nearest[found]]
+        index[found] = where[np.asarray(nearest)[found]]
         self.index = index.reshape(a.shape)
         at = self.chart[:2].reshape(2, -1)[:, self.index]
         self.offset = np.where(self.index >= 0, np.stack([a, grid.b]) - at, np.nan)
@@ -100,7 +100,8 @@ class _Part:
         known = np.isfinite(fields).all(axis=0) & np.isfinite(self.chart).all(axis=0)
         slopes = window_slopes(self.chart[0], self.chart[1], fields, known, _SLOPE_HALF).values
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-        return self.nearest(fields) + (self.nearest(slopes) * self.offset).sum(axis=1)
+        values: np.ndarray = self.nearest(fields) + (self.nearest(slopes) * self.offset).sum(axis=1)
+        return values
 
     def nearest(self, fields: np.ndarray) -> np.ndarray:
         """Return the nearest values of fields (..., row, column) at the points of the map."""
@@ -122,14 +123,16 @@ class _Part:
         by_pixel = window_slopes(column, row, after, np.isfinite(after).all(axis=0), _IN_PLANE_HALF).values
         directions = np.stack([-before, sight, by_pixel[:, 0], by_pixel[:, 1]])
         sigmas = np.stack([_map(step, each) for each in _SOURCES])
-        found = self.nearest(directions * sigmas[:, None])
-        return np.einsum("ij,sj...->si...", self.turn, found)
+        errors: np.ndarray = np.einsum("ij,sj...->si...", self.turn, self.nearest(directions * sigmas[:, None]))
+        return errors
 
     def calibration_variance(self, step: xr.Dataset, noise: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3, row, column) of the displacement by errors of the calibration [m^2]."""
         stated = self.nearest(np.stack([_map(step, f"sigma_{each}") for each in _MOTION]) ** 2)
         own = np.einsum("ji,jk...,ki->i...", self.turn, noise, self.turn)
-        return np.einsum("ik,k...,jk->ij...", self.turn, np.maximum(stated - own, 0.0), self.turn)
+        common = np.maximum(stated - own, 0.0)
+        covariance: np.ndarray = np.einsum("ik,k...,jk->ij...", self.turn, common, self.turn)
+        return covariance
 
 
 def join_sensors(
