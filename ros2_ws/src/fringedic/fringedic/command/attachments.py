@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,7 +56,7 @@ def attach(  # noqa: PLR0913 (options of a command)
         typer.Option(
             metavar="'SECONDS +- SIGMA'",
             help="Clock of the file minus that of the recording, instead of a fit; without dates it counts from the "
-            "begin of the recording.",
+            "begin of the recording. Without +- it counts as rounded to its last digit.",
         ),
     ] = None,
     sigma: Annotated[
@@ -231,13 +233,16 @@ def _options(
 
 
 def _offset(text: str) -> tuple[float, float]:
-    """Return offset and standard uncertainty, 0 without one."""
+    """Return offset and standard uncertainty; without one that of a number that is rounded to its last digit."""
     match = _OFFSET.fullmatch(text)
     try:
         if match is None:
             raise ValueError
-        return float(match["value"]), float(match["sigma"] or 0)
-    except ValueError as error:
+        if match["sigma"] is None:
+            last_digit = 10.0 ** int(Decimal(match["value"]).as_tuple().exponent)
+            return float(match["value"]), last_digit / math.sqrt(12)
+        return float(match["value"]), float(match["sigma"])
+    except (ValueError, InvalidOperation) as error:
         raise ConfigurationError(f"--offset {text}: write seconds, such as 3600 or '12.4 +- 0.1'") from error
 
 

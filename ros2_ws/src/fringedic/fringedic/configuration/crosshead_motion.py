@@ -52,7 +52,7 @@ def crosshead_motion(rig: RigFile, speed: float) -> CrossheadMotion | None:
     ...                               "virtual_rig": virtual, "calibration": "virtual_rig"})
     >>> motion = crosshead_motion(rig, 1e-3)
     >>> round(motion.fringes, 2), round(motion.pixels, 2)
-    (0.0, 0.18)
+    (0.0, 0.21)
     """
     model, interval = rig.rig_model, frame_interval(rig)
     patterns = rig.moving_patterns()

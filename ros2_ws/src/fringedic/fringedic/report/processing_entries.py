@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from datetime import UTC, datetime
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.quantities import strain_measure_of
+from fringedic.datasets.quantities import ATTACHMENTS, strain_measure_of
 from fringedic.evaluation.elasticity import strain_curve
 from fringedic.evaluation.named import EvaluationSettings
 from fringedic.report.data import ReportData
@@ -37,6 +38,7 @@ def analysis_entries(data: ReportData) -> list[Entry]:
     entries = [
         Entry("software", attributes.get("software")),
         Entry("commit", attributes.get("commit")),
+        *_attachment_entries(data),
         Entry("image filtering", "none before the correlation"),
     ]
     dic, coupling = data.parameters.get("dic", {}), data.parameters.get("coupling", {})
@@ -93,6 +95,13 @@ def analysis_entries(data: ReportData) -> list[Entry]:
         *strain,
         *model,
     ]
+
+
+def _attachment_entries(data: ReportData) -> list[Entry]:
+    """Return the files of other programs whose signals are used; without one there is no entry."""
+    attached = json.loads(data.dataset.attrs.get(ATTACHMENTS, "{}"))
+    files = ", ".join(f"{name} (description: SHA-256 {digest[:12]}...)" for name, digest in attached.items())
+    return [Entry("attached files", files, "fringedic attach BAG shows their clocks")] if files else []
 
 
 def _camera_model(rig: dict[str, Any]) -> Entry:

@@ -208,6 +208,10 @@ def test_conditions_are_known_or_named_as_missing(dataset):
     assert values["phase noise"] == "12 mrad"
     assert values["modulation threshold"].startswith("4 grey levels")
     assert (values["operator"], values["lens"], values["aperture"]) == ("Ada & Bob", "Maker 35 mm", "f/8")
+    assert "attached files" not in values
+    attached = ReportData(dataset.assign_attrs(attachments=json.dumps({"machine.csv": 64 * "a"})), None, None)
+    entries = {entry.name: entry.value for entry in analysis_entries(attached)}
+    assert entries["attached files"] == f"machine.csv (description: SHA-256 {12 * 'a'}...)"
     unknown = {entry.name for entry in listed if entry.value is None}
     assert unknown >= {
         *("camera", "focal length", "filters", "calibration target", "patterning technique", "feature size"),

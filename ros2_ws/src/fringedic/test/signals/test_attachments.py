@@ -23,6 +23,7 @@ from fringedic.signals import (
     attachment_digests,
     attachment_folder,
     attachment_names,
+    read_attachment,
     recorded_signals,
     remove_attachment,
     with_attachments,
@@ -194,6 +195,12 @@ def test_command_shows_structure_and_clock(run: Path, machine_file: Path, capsys
     assert read_log(run).files.keys() >= {"bag_attached/machine.csv.clock.png"}
     app(["attach", str(run)], standalone_mode=False)
     assert "machine.csv: force, probe; SHA-256" in capsys.readouterr().out
+    app(["attach", str(run), "--remove", "machine.csv"], standalone_mode=False)
+    for given, sigma in {"3600": 288.675, "3607.2": 28.8675, "3607.25 +- 0.1": 100.0}.items():
+        app(["attach", str(run), str(machine_file), "--offset", given, "--overwrite"], standalone_mode=False)
+        capsys.readouterr()
+        clock = read_attachment(run / "bag", "machine.csv").attachment.clock
+        assert 1e3 * clock.sigma_offset == pytest.approx(sigma, rel=1e-4)
     app(["attach", str(run), "--remove", "machine.csv"], standalone_mode=False)
     app(["attach", str(run)], standalone_mode=False)
     assert "nothing is attached" in capsys.readouterr().out
