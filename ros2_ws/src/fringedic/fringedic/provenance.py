@@ -45,9 +45,9 @@ def git_commit() -> str:
 
 
 def _git(folder: Path, *words: str) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True, timeout=_TIMEOUT
-    )
+    # a process that is killed meanwhile leaves no .git/index.lock
+    command = ["git", "--no-optional-locks", "-C", str(folder), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=_TIMEOUT)
     return done.stdout.strip()
 
 
