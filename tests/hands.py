@@ -18,7 +18,9 @@ _PLACE = """async (selector, across, down) => {
   if (!element?.getClientRects().length || element.disabled || element.getAttribute("aria-disabled")) return null;
   element.scrollIntoView({ block: "center", inline: "center" });
   await new Promise(requestAnimationFrame);
-  const [box] = element.getClientRects(), place = [box.left + across * box.width, box.top + down * box.height];
+  const [box] = element.getClientRects();
+  if (!box) return null; // replaced meanwhile
+  const place = [box.left + across * box.width, box.top + down * box.height];
   const top = document.elementFromPoint(...place);
   return element.contains(top) ? place : null;
 }"""

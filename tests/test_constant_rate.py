@@ -124,7 +124,8 @@ def test_a_window_that_slides_by_a_frame_is_as_good_as_a_stack(
             np.testing.assert_array_equal(own, stack, err_msg=f"{name} of the stack itself")
         for step in windows:
             window = every.sel(step=step)
-            assert float(np.isfinite(window.w).mean()) > 0.4
+            # the last frames of a stack and the first ones of the next are further apart than those of one stack
+            assert np.isfinite(window.w).mean() > 0.5 * np.isfinite(moving.w.sel(step=first)).mean()
             truth = rig.truth(float(window.position), 0.0)
             for name in "uvw":
                 scores = (window[name].values - truth[name]) / window[f"sigma_{name}"].values

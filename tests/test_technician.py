@@ -312,7 +312,7 @@ def finds_and_opens_the_test(hands: Mouse) -> None:
     hands.click("#close-test")
 
 
-def tests_the_next_specimen_of_a_series(hands: Mouse) -> None:
+def measures_the_next_specimen_of_a_series(hands: Mouse) -> None:
     hands.view("run")
     hands.click("#series-fold summary")
     hands.write("#series-names", "plate 8")
@@ -354,7 +354,7 @@ DRIVING: dict[str, Task] = {
         limits_the_force,
         requests_a_hold,
         finds_and_opens_the_test,
-        tests_the_next_specimen_of_a_series,
+        measures_the_next_specimen_of_a_series,
         compares_two_tests,
         measures_a_step_by_hand,
     )

@@ -128,6 +128,8 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "view": ["view", dataset, "--port", str(free_port())],
         # a recording of an experiment is read and refused, because a calibration of this size is too long for a test
         "calibrate": ["calibrate", "--from", bag, "--output", str(folder / "calibration")],
+        # a recording of one sensor is read and refused for the same reason
+        "register": ["register", bag, "--balls-mm", "10"],
     }
 
 
@@ -209,6 +211,8 @@ def test_command_runs_without_ros(name: str, outcomes: dict[str, Outcome]) -> No
     if name == "calibrate":
         assert "RecordingError" in outcome.error
         assert "experiment/plane" in outcome.error
+    elif name == "register":
+        assert "contains the sensor sensor only: a registration needs a recording of two or more" in outcome.error
     elif name == "audit":  # an earlier version has signed nothing at the end of this run
         assert (outcome.code, outcome.output.splitlines()[-1].split(":")[0]) == (1, "verdict")
     else:

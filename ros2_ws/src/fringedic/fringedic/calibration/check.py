@@ -297,7 +297,11 @@ class _Fringes:
         """Reconstruct the blocks of a plate and fit its plane."""
         shape = self.rig.reconstruct(blocks.as_phase_map(), self.pitch, blocks.sigma, self.orientation)
         points, noise = np.stack([shape[name].to_numpy() for name in "xyz"]), shape["noise_z"].to_numpy()
-        known = np.isfinite(points[2])
+        known = np.isfinite(points[2]) & np.isfinite(noise) & (noise > 0)
+        if np.count_nonzero(known) < 3:
+            raise CalibrationError(
+                "the phase of the plate has no height with this calibration and pitch: is it that of this rig?"
+            )
         x, y, z = points[:, known]
         weight = 1 / noise[known]
         matrix = np.stack([np.ones_like(x), x, y], axis=1)
