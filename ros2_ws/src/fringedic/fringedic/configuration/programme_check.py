@@ -146,7 +146,7 @@ def _check_speed(rig: RigFile, speed_mm_per_s: float, name: str) -> None:
     motion = crosshead_motion(rig, 1e-3 * speed_mm_per_s)
     if motion is None:
         return
-    followed, cure = max(abs(each) for each in rig.sequence.motion_range), ""
+    followed, cure = rig.sequence.fastest_motion, ""
     if motion.in_stack > _MOST_IN_STACK:
         raise ConfigurationError(
             f"{name} measures at {speed_mm_per_s:g} mm/s, where a point moves by {motion.pixels:.3g} px from frame to "

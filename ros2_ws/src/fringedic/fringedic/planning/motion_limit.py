@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from fringedic.configuration.forecast import FRAME_TIME
-from fringedic.phase import plan_shifts
 from fringedic.planning.plan_warnings import fringe_period
 from fringedic.planning.planned_rig import PlannedRig
-from fringedic.settings.experiment import MOVING_FRAMES
 
 
 @dataclass(frozen=True)
 class MotionLimit:
-    """The fastest motion of the surface across the fringes, in the directions of `PlannedRig.motion_range`.
+    """The fastest motion of the surface across the fringes, in the directions of `SequenceSettings.motion_range`.
 
     Attributes
     ----------
@@ -57,14 +54,13 @@ def motion_limit(planned: PlannedRig) -> MotionLimit:
     >>> round(limit.per_frame, 2), limit.contrast > 0.99, limit.condition < 3
     (2.45, True, True)
     """
-    low, high = (2 * math.pi * each for each in planned.motion_range)
-    fastest = max(high, -low)
-    per_frame = fastest / (2 * math.pi) * fringe_period(planned)
+    fringes = planned.sequence.fastest_motion
+    per_frame = fringes * fringe_period(planned)
     interval = FRAME_TIME + planned.exposure_time + planned.settle_time
     return MotionLimit(
         per_frame=per_frame,
         speed=per_frame * planned.model.pixel_size / interval,
         frame_rate=1 / interval,
-        contrast=float(np.sinc(fastest * planned.exposure_time / interval / (2 * math.pi))),
-        condition=plan_shifts((low + high) / 2, MOVING_FRAMES, uncertainty=(high - low) / 2).condition,
+        contrast=float(np.sinc(fringes * planned.exposure_time / interval)),
+        condition=planned.sequence.moving_plan().condition,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,8 +41,8 @@ class PlannedRig:
         Section ``plan``; None for a virtual rig, whose depths of field are unlimited.
     exposure_time, settle_time
         Of a frame, and between its pattern and its exposure [s]; the exposure is NaN where it is not known.
-    motion_range
-        Motion across the finest fringes from frame to frame that steps in motion follow [fringes].
+    sequence
+        Its settings, which contain the motion that steps in motion follow.
     """
 
     model: RigModel
@@ -53,7 +53,7 @@ class PlannedRig:
     components: PlanSection | None = None
     exposure_time: float = math.nan
     settle_time: float = 0.0
-    motion_range: tuple[float, float] = SequenceSettings().motion_range
+    sequence: SequenceSettings = field(default_factory=SequenceSettings)
 
     @classmethod
     def of(cls, rig: RigFile, name: str = "rig file") -> PlannedRig:
@@ -90,7 +90,7 @@ class PlannedRig:
             rig.plan,
             rig.camera.exposure_time,
             rig.camera.settle_time,
-            rig.sequence.motion_range,
+            rig.sequence,
         )
 
     @property

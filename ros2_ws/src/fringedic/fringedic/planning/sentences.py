@@ -12,7 +12,7 @@ from fringedic.planning.plan import NoiseSource, Plan
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, fringe_period, projector_pixel
 from fringedic.planning.planned_patch import QUANTITIES
 from fringedic.planning.planned_rig import PlannedRig
-from fringedic.settings.experiment import MOVING_ONE_WAY
+from fringedic.settings.experiment import MOVING_ONE_WAY, SequenceSettings
 from fringedic.wording.numbers import number_text
 
 NOTE = (
@@ -130,11 +130,11 @@ def faster_motion_sentence(planned: PlannedRig) -> str:
     if math.isfinite(limit.speed):
         shorter = 0.5 * planned.exposure_time
         ways.append(f"an exposure of {1e3 * shorter:.3g} ms: x {times(exposure_time=shorter):.2f}")
-    one_way = (0.0, MOVING_ONE_WAY)
-    if max(abs(each) for each in planned.motion_range) < MOVING_ONE_WAY:
+    if planned.sequence.fastest_motion < MOVING_ONE_WAY:
+        one_way = SequenceSettings(motion_fringes=[0.0, MOVING_ONE_WAY])
         ways.append(
             f"sequence.motion_fringes [0, {MOVING_ONE_WAY}] or [-{MOVING_ONE_WAY}, 0] where the direction is known: "
-            f"x {times(motion_range=one_way):.2f}"
+            f"x {times(sequence=one_way):.2f}"
         )
     return f"for a faster motion across the fringes without a hold: {'; '.join(ways)}."
 

@@ -66,7 +66,7 @@ def timing_sentences(
         settling = f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."
     rate = 1 / (FRAME_TIME + exposure_time + max(settle_time, timing.settled()))
     sequence = sequence or SequenceSettings()
-    part = max(abs(each) for each in sequence.motion_range)
+    part = sequence.fastest_motion
     left = float(np.sinc(part * rate * exposure_time))
     motion = (
         f"With these times about {rate:.0f} frames per second are taken: a test without holds follows a surface that "

@@ -97,6 +97,11 @@ class SequenceSettings(Settings):
         low, high = self.motion_fringes or (-either, either)
         return low, high
 
+    @property
+    def fastest_motion(self) -> float:
+        """The largest motion of `motion_range` in either direction [fringes]."""
+        return max(abs(each) for each in self.motion_range)
+
     def moving_plan(self) -> phase.ShiftPlan:
         """Return the shifts of the finest pitch of a MOVING step, chosen for the range of its motion."""
         low, high = (2 * math.pi * each for each in self.motion_range)

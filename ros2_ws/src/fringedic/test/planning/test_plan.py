@@ -21,6 +21,7 @@ from fringedic.planning.planned_patch import Patch
 from fringedic.planning.planned_rig import pixel_ripple
 from fringedic.planning.sentences import faster_motion_sentence, plan_text, plan_warning_sentence
 from fringedic.report.plan import write_plan_page
+from fringedic.settings.experiment import SequenceSettings
 from fringedic.surface import couple
 from fringedic.virtual_rig import VirtualRig
 
@@ -224,7 +225,7 @@ def test_a_virtual_rig_is_a_plan_too():
 
 def test_a_known_direction_and_a_shorter_exposure_allow_a_faster_motion(planned):
     exposed = replace(planned, exposure_time=0.02)
-    one_way = motion_limit(replace(exposed, motion_range=(-0.28, 0.0)))
+    one_way = motion_limit(replace(exposed, sequence=SequenceSettings(motion_fringes=[-0.28, 0.0])))
     both = motion_limit(exposed)
     assert one_way.speed / both.speed == pytest.approx(2 * math.pi * 0.28 / 0.6)
     assert both.per_frame == pytest.approx(0.6 / (2 * math.pi) * fringe_period(exposed))
