@@ -13,6 +13,7 @@ import xarray as xr
 from fringedic.datasets.quantities import ATTACHMENTS, strain_measure_of
 from fringedic.evaluation.elasticity import strain_curve
 from fringedic.evaluation.named import EvaluationSettings
+from fringedic.evaluation.rates import rates
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
 from fringedic.surface.strain_measures import TENSORS
@@ -186,7 +187,7 @@ def _motion_entries(data: ReportData) -> list[Entry]:
                 "between neighbouring stacks",
             )
         )
-    if moving.sum() > 1 and "sigma_e_22" in dataset:
+    if moving.sum() > 1 and {"sigma_e_22", "reference_step"} <= {*dataset.variables}:
         entries.append(_strain_rate_entry(dataset.isel(step=moving)))
     part, known = dataset["valid_fraction"].values, np.isfinite(dataset["valid_fraction"].values)
     if (known & moving).any() and (known & ~moving).any():
@@ -203,15 +204,13 @@ def _motion_entries(data: ReportData) -> list[Entry]:
 
 def _strain_rate_entry(moving: xr.Dataset) -> Entry:
     """Return the rate of the mean strain along the load between neighbouring stacks in motion."""
-    curve = strain_curve(moving)
-    seconds = np.diff(moving["time"].values.astype("datetime64[ns]")) / np.timedelta64(1, "s")
-    rates = {name: 100 * np.diff(curve[name].values) / seconds for name in ("e_11", "e_22")}
-    if not all(np.isfinite(each).any() for each in rates.values()):
+    found = rates(strain_curve(moving).assign(time=moving["time"].variable))
+    percent = {name: 100 * found[f"{name}_rate"].values for name in ("e_11", "e_22")}
+    if not all(np.isfinite(each).any() for each in percent.values()):
         return Entry("strain rate", None)
-    axial = max(rates, key=lambda name: float(np.nanmedian(np.abs(rates[name]))))
-    variance = curve[f"sigma_{axial}"].values ** 2 / 2  # that of the reference, the other half, cancels
-    sigma = float(np.nanmedian(100 * np.sqrt(variance[1:] + variance[:-1]) / seconds))
-    low, middle, high = (number_text(float(each), 3) for each in np.nanquantile(rates[axial], [0, 0.5, 1]))
+    axial = max(percent, key=lambda name: float(np.nanmedian(np.abs(percent[name]))))
+    sigma = float(np.nanmedian(100 * found[f"sigma_{axial}_rate"].values))
+    low, middle, high = (number_text(float(each), 3) for each in np.nanquantile(percent[axial], [0, 0.5, 1]))
     return Entry(
         f"strain rate ({axial})",
         f"{middle} %/s",
