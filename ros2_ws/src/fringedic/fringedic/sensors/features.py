@@ -7,11 +7,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations, permutations
 
 import numpy as np
 import xarray as xr
 
 from fringedic.calibration.acceptance import find_balls, fit_sphere
+from fringedic.camera.grid import TO_SIGMA
 from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import RigGeometry
@@ -19,7 +21,6 @@ from fringedic.rig.uncertainty import position_errors, principal_directions
 
 _PROPAGATED = 1500  # points of a feature are enough for smooth errors of the calibration
 _OUTLIER = 4.0  # [robust standard deviations] from the fitted object
-_ROBUST = 1.4826  # of the median of absolute deviations, for normal errors
 _FEWEST = 100
 
 
@@ -205,7 +206,7 @@ def _points(shape: xr.Dataset) -> np.ndarray:
 
 
 def _without_outliers(points: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    spread = _ROBUST * np.median(np.abs(distances - np.median(distances)))
+    spread = TO_SIGMA * np.median(np.abs(distances - np.median(distances)))
     return points[:, np.abs(distances - np.median(distances)) <= _OUTLIER * spread]
 
 
@@ -222,8 +223,6 @@ def match_balls(first: Sequence[Feature], other: Sequence[Feature]) -> list[Feat
     CalibrationError
         Fewer than three balls are common, or their distances do not tell them apart.
     """
-    from itertools import combinations, permutations
-
     known = np.stack([each.position for each in first], axis=1)
     seen = np.stack([each.position for each in other], axis=1)
     common = min(known.shape[1], seen.shape[1])

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from fringedic.camera.findings import Finding
 from fringedic.errors import CalibrationError
@@ -109,7 +108,8 @@ def _registration(content: dict[str, Any]) -> Registration:
     for pose in poses.values():
         if len(pose.rotation) != 3 or len(pose.translation) != 3:
             raise ValueError("a pose has three numbers of rotation and of translation")
-        Rotation.from_rotvec(pose.rotation)
+        if not np.isfinite([*pose.rotation, *pose.translation]).all():
+            raise ValueError("a pose contains no finite number")
     count = 6 * (len(poses) - 1)
     directions = {name: _matrix(each, None) for name, each in content["calibration_directions_si"].items()}
     shared = {name: np.array(each, float) for name, each in content["covariance_with_calibrations_si"].items()}

@@ -20,6 +20,7 @@ from fringedic.frames.sensor import JOINED
 from fringedic.rig.model import RigModel
 from fringedic.sensors.charts import Chart, choose_chart, is_closed
 from fringedic.sensors.join_strain import strain_maps
+from fringedic.sensors.poses import rotation_errors
 from fringedic.sensors.registration import Registration
 from fringedic.sensors.windows import window_slopes
 
@@ -372,28 +373,31 @@ def _first_known(dataset: xr.Dataset, name: str) -> np.ndarray:
 
 
 def _common(parts: Sequence[_Part], registration: Registration, towards: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return the variance (row, column) of the weighted sum of the parts by errors that points have in common."""
+    """Return the variance (..., row, column) of the weighted sum of the parts by errors that points have in common.
+
+    `towards` (..., 3, row, column) are the vectors whose products with the errors count.
+    """
+    leading, shape = towards.shape[:-3], towards.shape[-2:]
+    found = np.zeros((*leading, shape[0] * shape[1]))
     wanted = np.flatnonzero((np.abs(np.nan_to_num(shares)) > 0).any(axis=0).ravel())
     if not wanted.size:
-        return np.zeros(towards.shape[1:])
+        return found.reshape(*leading, *shape)
     some = wanted[:: max(1, wanted.size // _EXACT)]
-    total: np.ndarray | None = None
+    along = towards.reshape(*leading, 3, -1)[..., some]
+    total = np.zeros(())
     for part, share in zip(parts, shares, strict=True):
         points = part.nearest(part.points).reshape(3, -1)[:, some]
         weight = np.nan_to_num(share.ravel()[some])
         points = np.where(weight != 0, points, np.nanmean(part.points.reshape(3, -1), axis=1)[:, None])
         errors = registration.position_errors(part.sensor, part.model, points)
-        along = np.einsum("in,ikn->kn", towards.reshape(3, -1)[:, some], errors) * weight
-        total = along if total is None else total + along
-    assert total is not None
-    variance = np.einsum("kn,kl,ln->n", total, registration.common_covariance, total)
-    found = np.zeros(towards[0].size)
-    if len(some) == len(wanted):
-        found[wanted] = variance
-    else:
-        place = np.stack(np.unravel_index(np.arange(towards[0].size), towards.shape[1:]), axis=1)
-        found[wanted] = variance[cKDTree(place[some]).query(place[wanted])[1]]
-    return found.reshape(towards.shape[1:])
+        total = total + np.einsum("...in,ikn->...kn", along, errors) * weight
+    variance = np.einsum("...kn,kl,...ln->...n", total, registration.common_covariance, total)
+    if len(some) < len(wanted):
+        place = np.stack(np.unravel_index(wanted, shape), axis=1)
+        of_some = np.stack(np.unravel_index(some, shape), axis=1)
+        variance = variance[..., cKDTree(of_some).query(place)[1]]
+    found[..., wanted] = variance
+    return found.reshape(*leading, *shape)
 
 
 def _joined_step(
@@ -425,32 +429,18 @@ def _joined_step(
         noise = np.einsum("si...,sj...->ij...", sources[-1], sources[-1])
         noises.append(noise)
         turned = registration.pose_covariance(part.sensor)[:3, :3]
-        cross = _cross(moved[-1])
+        cross = rotation_errors(moved[-1])
         others.append(part.calibration_variance(own, noise) + np.einsum("ia...,ab,jb...->ij...", cross, turned, cross))
     shares = _shares(noises, [part.taper for part, _ in measured])
     known = np.isfinite(surface.points[0])
     motion = np.where(known, _sum(shares, moved), np.nan)
-    gradients = _gradients(motion, surface, grid)
     covariance = sum(
         np.einsum("ij...,jk...,lk...->il...", share, np.nan_to_num(noise + other), share)
         for share, noise, other in zip(shares, noises, others, strict=True)
     )
     sigmas = np.sqrt(np.stack([covariance[axis, axis] for axis in range(3)]))
-    overlap = np.full((3, *known.shape), np.nan)
-    apart = [each.copy() for each in others]
-    for first, other in _pairs(len(measured)):
-        both = np.isfinite(moved[first][0]) & np.isfinite(moved[other][0]) & np.isnan(overlap[0])
-        total = noises[first] + others[first] + noises[other] + others[other]
-        variance = np.stack([total[axis, axis] for axis in range(3)])
-        share = np.zeros((len(measured), *known.shape))
-        share[first], share[other] = np.where(both, 1.0, 0.0), np.where(both, -1.0, 0.0)
-        for axis in range(3):
-            # both show the same place of the map, which is another point of the specimen by the errors of positions
-            misplaced = _common([part for part, _ in measured], registration, gradients[axis], share)
-            variance[axis] += misplaced
-            apart[first][axis, axis] += 0.5 * misplaced
-            apart[other][axis, axis] += 0.5 * misplaced
-        overlap = np.where(both, (moved[first] - moved[other]) / np.sqrt(variance), overlap)
+    gradients = _gradients(motion, surface, grid)
+    overlap, apart = _differences([part for part, _ in measured], moved, noises, others, gradients, registration)
     joint = [np.einsum("ij...,sj...->si...", share, each) for share, each in zip(shares, sources, strict=True)]
     lead = measured[0][1]
     strain = strain_maps(
@@ -473,19 +463,41 @@ def _joined_step(
     return {"step": step, "error": "", **maps}, failed
 
 
+def _differences(
+    parts: Sequence[_Part],
+    moved: Sequence[np.ndarray],
+    noises: Sequence[np.ndarray],
+    others: Sequence[np.ndarray],
+    gradients: np.ndarray,
+    registration: Registration,
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the differences of u, v, w over their standard deviation, and the common covariance of each sensor.
+
+    Two sensors show at one place of the map different points of the specimen, by the errors of their positions: each
+    gets half of the variance.
+    """
+    overlap = np.full(moved[0].shape, np.nan)
+    apart = [each.copy() for each in others]
+    for first, other in _pairs(len(parts)):
+        both = np.isfinite(moved[first][0]) & np.isfinite(moved[other][0]) & np.isnan(overlap[0])
+        share = np.zeros((len(parts), *both.shape))
+        share[first], share[other] = np.where(both, 1.0, 0.0), np.where(both, -1.0, 0.0)
+        misplaced = _common(parts, registration, gradients, share)
+        total = noises[first] + others[first] + noises[other] + others[other]
+        variance = np.stack([total[axis, axis] for axis in range(3)]) + misplaced
+        for axis in range(3):
+            apart[first][axis, axis] += 0.5 * misplaced[axis]
+            apart[other][axis, axis] += 0.5 * misplaced[axis]
+        overlap = np.where(both, (moved[first] - moved[other]) / np.sqrt(variance), overlap)
+    return overlap, apart
+
+
 def _gradients(motion: np.ndarray, surface: _Surface, grid: _Grid) -> np.ndarray:
     """Return the gradients (component, 3, row, column) of a displacement along the surface."""
     known = np.isfinite(motion).all(axis=0)
     slopes = window_slopes(grid.a, grid.b, motion, known, _IN_PLANE_HALF, grid.closed).values
     along: np.ndarray = np.einsum("kj...,ji...->ki...", np.nan_to_num(slopes), surface.directions[:2])
     return along
-
-
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Return the matrices (3, 3, ...) of the products of small rotations with vectors (3, ...)."""
-    x, y, z = vectors
-    none = np.zeros_like(x)
-    return np.stack([np.stack([none, z, -y]), np.stack([-z, none, x]), np.stack([y, -x, none])])
 
 
 def _shares(noises: Sequence[np.ndarray], tapers: Sequence[np.ndarray]) -> list[np.ndarray]:

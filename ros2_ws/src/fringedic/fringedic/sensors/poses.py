@@ -59,12 +59,15 @@ class SensorPose:
 
     def error_matrix(self, points: np.ndarray) -> np.ndarray:
         """Return the derivative (3, 6, ...) of `apply` at points (3, ...) by the six numbers of `moved`."""
-        x, y, z = self.turn(points)
-        found = np.zeros((3, 6, *x.shape))
-        # the small rotation a moves the turned point p by a x p
-        found[0, 1], found[0, 2] = z, -y
-        found[1, 0], found[1, 2] = -z, x
-        found[2, 0], found[2, 1] = y, -x
+        found = np.zeros((3, 6, *np.shape(points)[1:]))
+        found[:, :3] = rotation_errors(self.turn(points))
         for axis in range(3):
             found[axis, 3 + axis] = 1.0
         return found
+
+
+def rotation_errors(vectors: np.ndarray) -> np.ndarray:
+    """Return the derivative (3, 3, ...) of vectors (3, ...) by a small rotation a, which moves a vector p by a x p."""
+    x, y, z = vectors
+    none = np.zeros_like(x)
+    return np.stack([np.stack([none, z, -y]), np.stack([-z, none, x]), np.stack([y, -x, none])])

@@ -277,6 +277,7 @@ class _Bundle:
     ) -> None:
         self.features, self.poses, self.reference, self.models = features, poses, reference, models
         self.placed = [each for each in poses if each != reference]
+        self.directions = {name: principal_directions(model) for name, model in models.items()}
         self.objects: dict[str, np.ndarray] = {}  # centre of a ball (3,); point and normal of a plane (2, 3)
         for each in features:
             pose = poses[each.sensor]
@@ -289,8 +290,7 @@ class _Bundle:
         """Return the covariance of noise and the errors (3 n, direction) by the calibration of each sensor."""
         size = 3 * len(self.features)
         noise = np.zeros((size, size))
-        counts = {name: len(principal_directions(model)) for name, model in self.models.items()}
-        shared = {name: np.zeros((size, count)) for name, count in counts.items()}
+        shared = {name: np.zeros((size, len(each))) for name, each in self.directions.items()}
         for index, each in enumerate(self.features):
             place = slice(3 * index, 3 * index + 3)
             turn = self.poses[each.sensor].matrix if each.kind is FeatureKind.BALL else np.eye(3)
@@ -405,7 +405,7 @@ class _Bundle:
             self.reference,
             self.poses,
             self.covariance[:count, :count],
-            {name: principal_directions(model) for name, model in self.models.items()},
+            self.directions,
             {name: (gain @ each)[:count] for name, each in self.shared.items()},
             {name: model.identifier for name, model in self.models.items()},
             chi_square,
