@@ -161,7 +161,6 @@ def process(  # noqa: PLR0913 (options of a command)
 def _sensors_to_join(bag: Path, sensor: str | None, registration: Path | None) -> tuple[list[str], Path | None]:
     """Return the sensors of a recording and the file with their poses; None if one sensor is to be measured."""
     from fringedic.recording.reader import BagReader
-    from fringedic.sensors.recorded import registration_of
 
     if sensor is not None:
         if registration is not None:
@@ -172,6 +171,8 @@ def _sensors_to_join(bag: Path, sensor: str | None, registration: Path | None) -
         if registration is not None:
             raise ConfigurationError(f"{bag} contains one sensor only: leave --registration out")
         return sensors, None
+    from fringedic.sensors.recorded import registration_of
+
     return sensors, registration or registration_of(bag)
 
 

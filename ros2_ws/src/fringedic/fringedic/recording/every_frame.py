@@ -58,7 +58,7 @@ class EveryFrameReader(BagReader):
             yield from messages
             return
         with_images = names.get(IMAGE) in wanted
-        pairs: FramePairs[RawMessage, RawMessage] = FramePairs(_CAPACITY)
+        pairs: FramePairs[RawMessage, tuple[FrameRecord, RawMessage]] = FramePairs(_CAPACITY)
         stacks = _Stacks()
         for raw in messages:
             if raw.topic not in names.values():
@@ -70,12 +70,11 @@ class EveryFrameReader(BagReader):
                 if not with_images:
                     yield from stacks.take(_Frame(record, raw, None))
                     continue
-                pair = pairs.add_record(record.stamp, raw)
+                pair = pairs.add_record(record.stamp, (record, raw))
             else:
                 pair = pairs.add_image(stamp_of(message), raw)
             if pair is not None:
-                image, exposure = pair
-                record = frame_record(super().decode(exposure.topic, exposure.data))
+                image, (record, exposure) = pair
                 yield from stacks.take(_Frame(record, exposure, image))
         yield from stacks.rest()
 
