@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 
 from fringedic.calibration.placement import Placement
+from fringedic.camera.grid import TO_SIGMA
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.rig.reconstruction import pixel_positions
 
@@ -27,7 +28,6 @@ _OUTLIER = 6.0  # standard deviations
 _SAME = 3.0  # standard deviations (RMS) below which two maps show the same plane; noise alone gives 1
 _SAMPLES = 15_000  # the polynomial is fitted to so many pixels
 _RIPPLE_SAMPLES = 40_000
-_TO_SIGMA = 1.4826  # from the median absolute deviation to the standard deviation of a normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +179,11 @@ def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataAr
     for _ in range(4):  # wrong fringe orders bias the first fits
         solution = _least_squares(vander[kept], values[kept])
         residual = np.abs(values - vander @ solution)
-        kept = residual <= max(_OUTLIER * _TO_SIGMA * float(np.median(residual)), 1e-9)
+        kept = residual <= max(_OUTLIER * TO_SIGMA * float(np.median(residual)), 1e-9)
     coefficients = np.zeros((_ORDER + 1, _ORDER + 1))
     coefficients[tuple(np.transpose(terms))] = solution
     residual = image - _evaluate(coefficients, *(np.linspace(-1, 1, n) for n in image.shape))
-    spread = _TO_SIGMA * float(np.nanmedian(np.abs(residual)))
+    spread = TO_SIGMA * float(np.nanmedian(np.abs(residual)))
     noise = np.full(image.shape, spread) if sigma is None else np.asarray(sigma, float)
     if sigma is not None and not np.any(noise[measured] > 0):
         raise CalibrationError(f"{name}: sigma is nowhere above 0; leave it out when the noise is not known")

@@ -45,9 +45,8 @@ _SMALLEST_CONTRAST = 0.5  # that motion blur leaves
 _LARGEST_DRIFT = 100.0  # [rad] between two frames: sixteen fringes, whose motion no frame would resolve
 _LATTICE = 4  # [px] between the pixels whose orders are compared
 _FEWEST_POINTS = 100  # of it
-_CONTRADICTION = (
-    0.25  # fringes from a whole number, and part of the points: half of them where the phase is another one
-)
+_AWAY = 0.25  # fringes from a whole number, from which on a point contradicts
+_CONTRADICTED = 0.25  # part of the points: it is a half where the phase is another one
 _NEIGHBOURS = 2 * CELL + 1  # [px]: the noise of their mean drift does not matter
 
 
@@ -569,8 +568,8 @@ def _check_coarse_pitches(
     doubt = CONFIDENCE * np.sqrt(finer**2 * variances[-2][lattice] + variances[-1][lattice])
     with np.errstate(invalid="ignore"):
         known &= doubt < np.pi / 2
-    away = np.abs(turns - np.round(turns))[known] > _CONTRADICTION
-    if away.size >= _FEWEST_POINTS and away.mean() > _CONTRADICTION:
+    away = np.abs(turns - np.round(turns))[known] > _AWAY
+    if away.size >= _FEWEST_POINTS and away.mean() > _CONTRADICTED:
         raise StepError(
             f"the coarser fringes contradict the finest ones on {100 * away.mean():.0f} % of the surface: it moves the "
             "other way than the shifts are for (sequence.motion_fringes), or faster than they follow",
