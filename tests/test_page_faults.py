@@ -391,6 +391,33 @@ def test_an_action_is_answered_in_time_and_a_double_click_is_one(page: Page, rig
     expect(page.locator("#message")).to_be_hidden()
 
 
+def test_a_double_click_on_a_button_that_another_one_replaces_is_one(page: Page, browser: Browser, site: Site) -> None:
+    """The second press of a double click on "Ask for the wheel" handed the wheel over again."""
+    with opened(browser, f"{site.origin}/?token={TOKEN}") as other:
+        other.set_default_timeout(SHOWN_MS)
+        page.click("#give")
+        expect(other.locator("#wheel")).to_contain_text("Nobody drives")
+        click_in_place(other, "#ask", 1)
+        expect(other.locator("#wheel")).to_contain_text("You drive")
+        click_in_place(other, "#give", 2)
+        click_in_place(other, "nav a[href='#log']", 1)
+        expect(other.locator("#nodes")).to_be_visible()
+        expect(other.locator("#wheel")).to_contain_text("You drive")
+        click_in_place(other, "#give", 1)
+        expect(other.locator("#wheel")).to_contain_text("Nobody drives")
+    page.click("#ask")
+    expect(page.locator("#wheel")).to_contain_text("You drive")
+
+
+def click_in_place(page: Page, selector: str, count: int) -> None:
+    """Press and release the mouse over a button, as the first or second press of a double click."""
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down(click_count=count)
+    page.mouse.up(click_count=count)
+
+
 # numbers
 
 

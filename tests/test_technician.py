@@ -45,12 +45,18 @@ def opens_page(hands: Mouse, selector: str) -> None:
     hands.driver.come_back()
 
 
+# what a technician can do about the wheel; nothing while a request is on its way, or waits for the driver
+WHEEL = """() => {
+  const ask = document.querySelector("#ask");
+  if (!ask) return "drive";
+  return ask.matches("[aria-busy], [aria-disabled]") ? null : "ask";
+}"""
+
+
 def takes_the_wheel(hands: Mouse) -> None:
-    """Ask for the wheel where another browser had it before."""
-    asks = "() => Boolean(document.querySelector('#ask'))"
-    while hands.driver.run(asks):
+    """Ask for the wheel where another browser had it before; one that has left keeps it for a moment."""
+    while hands.wait(WHEEL, what="the wheel of a browser that has left") == "ask":
         hands.click("#ask")
-        hands.wait("() => !document.querySelector('#ask[aria-disabled]')", what="the wheel of a browser that has left")
 
 
 # reading a test

@@ -316,6 +316,7 @@ class _Site:
         if name == "wheel":
             action = _parsed(TurnWheel, await _body(request)).action
             (self._wheel.ask if action == "ask" else self._wheel.give)(session)
+            self._offer_wheel(*self._hub.clients)  # also where nothing has changed: the page waits for it
             return JSONResponse({"message": ""})
         if name not in COMMANDS:
             raise OperatorError(f"{name[:40]}: there is no such command")
@@ -413,13 +414,13 @@ class _Site:
             changed = {topic: text for topic, text in now.items() if self._published.get(topic) != text}
             self._published = now
             if changed.pop("wheel", None) is not None:
-                for client in self._hub.clients:
-                    self._offer_wheel(client)
+                self._offer_wheel(*self._hub.clients)
             for topic, text in changed.items():
                 self._hub.publish(topic, functools.partial(str, text))
 
-    def _offer_wheel(self, client: Client) -> None:
-        client.put("wheel", lambda: _message("wheel", self._wheel.seen_by(client.session)))
+    def _offer_wheel(self, *clients: Client) -> None:
+        for client in clients:
+            client.put("wheel", lambda client=client: _message("wheel", self._wheel.seen_by(client.session)))
 
     def _topics(self) -> dict[str, str]:
         """Return the message of each topic; only changed ones are made, as a comparison costs a tenth."""

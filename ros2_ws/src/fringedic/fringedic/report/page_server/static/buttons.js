@@ -37,7 +37,8 @@ async function act(element, action) {
 }
 
 // The release of a press belongs to the element on which it began, also when the page has moved under the pointer.
-let pressed = null;
+// The second press of a double click is one of the element of the first: another button may have taken its place meanwhile.
+let pressed = null, first = null;
 addEventListener("pointerdown", (event) => {
   const element = event.button === 0 ? event.target.closest?.("button, a, summary") : null;
   pressed = element && { element, x: event.clientX, y: event.clientY };
@@ -46,11 +47,13 @@ addEventListener("pointerdown", (event) => {
 addEventListener("click", (event) => {
   const { element, x, y } = pressed ?? {};
   pressed = null;
+  if (event.detail < 2) first = element;
   if (!element || !element.contains(event.target) || event.detail === 0) return;
   const box = element.getBoundingClientRect();
   const beside = (value, low, high) => value < low - SLIPPED_PX || value > high + SLIPPED_PX;
   const isOutside = beside(event.clientX, box.left, box.right) || beside(event.clientY, box.top, box.bottom);
-  if (isOutside && Math.hypot(event.clientX - x, event.clientY - y) > SLIPPED_PX) {
+  const isSlipped = isOutside && Math.hypot(event.clientX - x, event.clientY - y) > SLIPPED_PX;
+  if (isSlipped || element !== first) {
     event.preventDefault();
     event.stopPropagation();
   }

@@ -7,7 +7,7 @@ import { choices, choose, known, language, t } from "./language.js";
 import { isBusy, questionParts } from "./procedure.js";
 import { command, forgetRefusal, newest, openTest, say, tried } from "./server.js";
 import { shownTest } from "./shown.js";
-import { connect, latest, listen } from "./stream.js";
+import { connect, latest, listen, next } from "./stream.js";
 
 const OF_A_RIG = { tests: t("Tests"), setup: t("Set up"), live: t("Live"), run: t("Run"), maps: t("Maps"), curves: t("Curves"), space: "3D", evaluate: t("Evaluate"), compare: t("Compare"), log: t("Log") };
 const LOOKING = ["maps", "curves", "space"]; // the views that show an earlier test, too
@@ -94,10 +94,17 @@ function takeMachine() {
   else holdButton.removeAttribute("aria-disabled");
 }
 
+// Asks for the wheel or hands it over, and waits until the page shows it: the server sends it with its answer.
+async function turnWheel(action) {
+  const shown = next("wheel"), answer = await command("wheel", { action });
+  if (answer !== null) await shown;
+  return answer;
+}
+
 function takeWheel(wheel) {
-  const give = button(wheel.asking ? t("Hand over to {browser}", { browser: known(wheel.asking) }) : t("Hand over"), { id: "give", onclick: () => command("wheel", { action: "give" }) });
+  const give = button(wheel.asking ? t("Hand over to {browser}", { browser: known(wheel.asking) }) : t("Hand over"), { id: "give", onclick: () => turnWheel("give") });
   const waits = wheel.asked && wheel.driver_present; // a driver who has left is not waited for
-  const ask = button(waits ? t("Asked for the wheel") : t("Ask for the wheel"), { id: "ask", onclick: () => command("wheel", { action: "ask" }),
+  const ask = button(waits ? t("Asked for the wheel") : t("Ask for the wheel"), { id: "ask", onclick: () => turnWheel("ask"),
     why: waits ? t("{browser} has been asked: wait until the wheel is handed over.", { browser: known(wheel.driver) }) : "" });
   const who = wheel.drives ? t("You drive") : wheel.driver_present ? t("{browser} drives", { browser: known(wheel.driver) }) : t("Nobody drives");
   patch(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" && wheel.drives ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
