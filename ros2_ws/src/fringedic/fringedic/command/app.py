@@ -205,6 +205,10 @@ Sensor = Annotated[
     str | None,
     typer.Option("--sensor", metavar="NAME", help="Name of the sensor, if the recording contains several."),
 ]
+RigSensor = Annotated[
+    str | None,
+    typer.Option("--sensor", metavar="NAME", help="Name of the sensor, if the rig file has several."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 Output = Annotated[Path | None, typer.Option(help="Output folder.")]
 Why = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the log of the run that the file is written into.")]

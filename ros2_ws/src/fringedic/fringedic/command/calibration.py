@@ -12,7 +12,7 @@ from fringedic.command.app import (
     SET_UP,
     Overwrite,
     Rig,
-    Sensor,
+    RigSensor,
     app,
     begin,
     console,
@@ -45,7 +45,10 @@ def calibrate(
     recording: Annotated[
         Path | None, typer.Option("--from", help="Repeat the calculation from the recording of a calibration.")
     ] = None,
-    sensor: Sensor = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option("--sensor", metavar="NAME", help="Name of the sensor, if rig file or recording have several."),
+    ] = None,
     output: Annotated[Path, typer.Option(help="Folder for calibration, report and recording.")] = Path("calibration"),
 ) -> None:
     """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 for NO-GO."""
@@ -53,8 +56,6 @@ def calibrate(
         raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
     if recording is not None:
         refuse_unused(context, {"angles_deg"}, "--from takes the angles from the recording; leave one of them out")
-    else:
-        refuse_unused(context, {"sensor"}, "it is the sensor of the rig file; leave it out")
     begin(rig or recording or output)
     folder = unused_folder(output)
     say(*(losses(recording) if recording is not None else []))
@@ -64,7 +65,7 @@ def calibrate(
 
             report = calibrate_again(recording, folder, progress, sensor)
         elif rig is not None:
-            report = _calibrate_with_nodes(rig_path_of(rig), angles_deg, folder, progress)
+            report = _calibrate_with_nodes(rig_path_of(rig), sensor, angles_deg, folder, progress)
     say(*report.words)
     if report.report is not None:
         say(f"report: {report.report}")
@@ -74,13 +75,13 @@ def calibrate(
 
 
 def _calibrate_with_nodes(
-    rig_path: Path, angles_deg: str | None, folder: Path, progress: LiveProgress
+    rig_path: Path, sensor: str | None, angles_deg: str | None, folder: Path, progress: LiveProgress
 ) -> CalibrationReport:
     from fringedic.configuration.changes import with_angles
     from fringedic.configuration.rig_file import load_rig_file
 
     calibrate_rig = rig_procedure("calibrate")
-    rig_file = load_rig_file(rig_path)
+    rig_file = load_rig_file(rig_path, sensor=sensor)
     if angles_deg is not None:
         rig_file = with_angles(rig_file, angles_deg)
     report: CalibrationReport = calibrate_rig(rig_file, rig_path, folder, progress, ask=progress.ask)
@@ -103,12 +104,13 @@ def check(
         bool,
         typer.Option("--vdi", help="Acceptance test with balls, a ball bar and a plane (section acceptance) instead."),
     ] = False,
+    sensor: RigSensor = None,
     output: Annotated[Path, typer.Option(help="Folder for page and recording.")] = Path("check"),
 ) -> None:
     """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
     if vdi:
         refuse_unused(context, {"distance_mm"}, "--vdi measures artefacts, not a distance; leave one of them out")
-        _accept(rig_path_of(rig), output)
+        _accept(rig_path_of(rig), sensor, output)
         return
     from fringedic.calibration.sentences import check_sentence, check_warning_sentences
     from fringedic.configuration.rig_file import load_rig_file
@@ -118,13 +120,14 @@ def check(
     path = rig_path_of(rig)
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
-        result = check_rig(load_rig_file(path), path, folder, progress, distance=1e-3 * distance_mm, ask=progress.ask)
+        rig_file = load_rig_file(path, sensor=sensor)
+        result = check_rig(rig_file, path, folder, progress, distance=1e-3 * distance_mm, ask=progress.ask)
     say(check_sentence(result), *check_warning_sentences(result), f"page: {folder / CHECK_PAGE}")
     if not result.holds:
         raise typer.Exit(1)
 
 
-def _accept(path: Path, output: Path) -> None:
+def _accept(path: Path, sensor: str | None, output: Path) -> None:
     """Run the acceptance test; exit code 1 if an error exceeds its limit."""
     from fringedic.calibration.acceptance_sentences import acceptance_text
     from fringedic.command.acceptance import accept
@@ -133,9 +136,8 @@ def _accept(path: Path, output: Path) -> None:
 
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
-        result = accept(
-            load_rig_file(path), path, folder, progress, measure=lambda: rig_procedure("artefacts"), ask=progress.ask
-        )
+        rig_file = load_rig_file(path, sensor=sensor)
+        result = accept(rig_file, path, folder, progress, measure=lambda: rig_procedure("artefacts"), ask=progress.ask)
     say(acceptance_text(result), f"page: {folder / ACCEPTANCE_PAGE}")
     if not result.passed:
         raise typer.Exit(1)

@@ -12,6 +12,7 @@ from fringedic.command.app import (
     SET_UP,
     Overwrite,
     Rig,
+    RigSensor,
     app,
     begin,
     console,
@@ -121,6 +122,7 @@ def noise(
     spacing: Annotated[
         int, typer.Option(min=1, max=256, help="With --images: distance of the measured points [px].")
     ] = 4,
+    sensor: RigSensor = None,
     output: Annotated[Path, typer.Option(help="Folder for noise_floor.yaml, its picture and the recording.")] = Path(
         "noise"
     ),
@@ -130,6 +132,7 @@ def noise(
         raise ConfigurationError("give a rig file, or with --images at least three images at rest")
     if images:
         refuse_unused(context, {"steps"}, "with --images every image is a step; leave it out")
+        refuse_unused(context, {"sensor"}, "with --images there is no rig; leave it out")
     else:
         refuse_unused(context, {"window", "spacing"}, "with a rig file they are nodes.dic in this file; set them there")
     begin(rig or (images or [])[0])
@@ -147,7 +150,7 @@ def noise(
         measure_noise = rig_procedure("noise")
         path = rig_path_of(rig)
         with LiveProgress(console) as progress:
-            measured = measure_noise(load_rig_file(path), path, folder, progress, steps=steps)
+            measured = measure_noise(load_rig_file(path, sensor=sensor), path, folder, progress, steps=steps)
     console.print(noise_floor_text(measured.metadata), markup=False, highlight=False, soft_wrap=True)
     file = folder / "noise_floor.yaml"
     say(f"noise floor: {file}; to use it, write its path into the rig file as noise_floor_file")
@@ -162,6 +165,7 @@ def region(
     output: Annotated[Path, typer.Option(help="Mask image; the polygons are written beside it as .yaml.")] = Path(
         "region.png"
     ),
+    sensor: RigSensor = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the region of interest in a window; write a mask for fringedic measure and polygons for the rig file."""
@@ -175,7 +179,11 @@ def region(
             raise ConfigurationError(f"--output {output}: would replace {source}; choose another --output")
         output_file(file, overwrite)
     is_rig = source.suffix in ("", ".yaml", ".yml")  # installed rig files are named without suffix
-    drawn = draw_region(rig_procedure("frame")(rig_path_of(source)).image if is_rig else read_grey(source))
+    if sensor is not None and not is_rig:
+        raise ConfigurationError("--sensor: an image is of one sensor; leave it out")
+    drawn = draw_region(
+        rig_procedure("frame")(rig_path_of(source), sensor=sensor).image if is_rig else read_grey(source)
+    )
     if drawn is None:
         say("no region was drawn")
         raise typer.Exit(1)

@@ -22,8 +22,9 @@ from fringedic.configuration.sections import (
     RecordingSection,
     ReferencePlaneSection,
 )
+from fringedic.configuration.sensors_section import sections_of_sensor
 from fringedic.configuration.test_form import DEFAULT_FORM, MOST_FIELDS, FormField, check_form
-from fringedic.configuration.yaml_section import Section, load_sections
+from fringedic.configuration.yaml_section import Section, load_sections, read_sections, validate
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.frames.sensor import SENSOR, SensorName
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
@@ -291,19 +292,21 @@ class RigFile(Section):
 
 
 @check_arguments(ConfigurationError, path=file_path)
-def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
-    """Read and check a rig file.
+def load_rig_file(path: str | os.PathLike[str], *, sensor: str | None = None) -> RigFile:
+    """Read and check a rig file, or the part of it that describes one of several sensors.
 
     Parameters
     ----------
     path
         A YAML file.
+    sensor
+        Name of the sensor, if the file has several.
 
     Raises
     ------
     ConfigurationError
         The file cannot be read, or a key is unknown, missing, replaced or out of its range; the message names file and
-        key.
+        key. Or the file has several sensors and none is chosen.
 
     Examples
     --------
@@ -313,7 +316,19 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
     >>> load_rig_file(file).camera_size()
     (160, 120)
     """
-    rig = load_sections(Path(path), RigFile, REPLACED_KEYS)
+    file = Path(path)
+    sections = sections_of_sensor(read_sections(file, RigFile), str(file), sensor)
+    return checked_rig(validate(RigFile, sections, str(file), REPLACED_KEYS, folder=file.parent), str(file))
+
+
+def checked_rig(rig: RigFile, source: str) -> RigFile:
+    """Return a rig after a check of what its sections name: sizes, the virtual rig and the calibration.
+
+    Raises
+    ------
+    ConfigurationError
+        One of them cannot be used; the message begins with `source`.
+    """
     try:
         rig.camera_size()
         rig.projector_size()
@@ -321,7 +336,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
             rig.virtual_configuration()
         rig.rig_model  # noqa: B018 (its file is read at the door)
     except FringedicError as error:
-        raise ConfigurationError(f"{path}: {error}") from error
+        raise ConfigurationError(f"{source}: {error}") from error
     return rig
 
 

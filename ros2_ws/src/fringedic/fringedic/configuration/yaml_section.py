@@ -46,6 +46,17 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
         The file cannot be read, or a key is unknown, missing, replaced or out of its range; the message names file and
         key.
     """
+    return validate(model, read_sections(path, model), str(path), replaced, folder=path.parent)
+
+
+def read_sections(path: Path, model: type[BaseModel]) -> dict[str, Any]:
+    """Return the content of a file of sections, unchecked.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or contains no sections.
+    """
     try:
         content = load_yaml(path.read_text("utf-8"))
     except OSError as error:
@@ -54,7 +65,7 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
         raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(f"{path}: is empty or has no 'key: value'; keys are {_keys(model)}")
-    return validate(model, content, str(path), replaced, folder=path.parent)
+    return content
 
 
 def validate(

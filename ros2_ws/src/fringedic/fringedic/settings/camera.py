@@ -92,6 +92,11 @@ class CameraSettings(ImageDeviceSettings):
         return UNKNOWN_FIRST
 
     @property
+    def device(self) -> str:
+        """What two sensors cannot have in common, such as the identifier of the camera; empty when it is not known."""
+        return ""
+
+    @property
     def bits(self) -> int | None:
         """Bits of a grey level; None: those of the images' type."""
         return int(self.pixel_format.removeprefix("Mono")) if self.pixel_format else None
@@ -128,6 +133,11 @@ class StoredImages(CameraSettings):
         if not self.files:
             raise ValueError(f"source: {self.source} needs the key files, the images that it reads")
         return self
+
+    @property
+    def device(self) -> str:
+        """The images: each is used once."""
+        return self.files
 
 
 class FilesCamera(StoredImages):
@@ -172,6 +182,11 @@ class AravisCamera(CameraSettings):
         return self
 
     @property
+    def device(self) -> str:
+        """Identifier or address."""
+        return self.camera or "the only one"
+
+    @property
     def first(self) -> tuple[int, int]:
         """Column and row of the sensor with which the images begin [px]."""
         return self.first_column, self.first_row
@@ -203,6 +218,11 @@ class V4l2Camera(CameraSettings):
             raise ValueError("source: v4l2 needs the key camera, a path such as /dev/video0")
         return self
 
+    @property
+    def device(self) -> str:
+        """Path of the device."""
+        return self.camera
+
 
 class TopicCamera(CameraSettings):
     """A camera with a ROS 2 driver of its own."""
@@ -221,6 +241,11 @@ class TopicCamera(CameraSettings):
         if not self.topic:
             raise ValueError("source: topic needs the key topic, the image topic of the camera's driver")
         return self
+
+    @property
+    def device(self) -> str:
+        """Topic of the images."""
+        return self.topic
 
 
 CAMERAS = Devices(

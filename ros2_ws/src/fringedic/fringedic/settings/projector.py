@@ -27,6 +27,11 @@ class ProjectorSettings(ImageDeviceSettings):
         "pre-compensated; empty: no pre-compensation.",
     )
 
+    @property
+    def device(self) -> str:
+        """What two sensors cannot have in common; empty when it is not known."""
+        return ""
+
     @model_validator(mode="after")
     def _size_is_known(self) -> Self:
         if self.source != "virtual" and self.size is None:
@@ -49,6 +54,11 @@ class DisplayProjector(ProjectorSettings):
 
     source: Literal["display"] = "display"
     display: int = Field(0, ge=0, le=15, description="Number of the projector among this computer's displays, from 0.")
+
+    @property
+    def device(self) -> str:
+        """Number of the display."""
+        return f"display {self.display}"
 
 
 PROJECTORS = Devices("fringedic.projectors", ProjectorSettings, (VirtualProjector, DisplayProjector), default="virtual")

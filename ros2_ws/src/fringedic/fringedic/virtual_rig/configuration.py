@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import VirtualRigError
+from fringedic.virtual_rig.arrangements import changes_of
 
 # Images of a size have this many times fewer pixels along each side than those of the paper, on the same field.
 SIZES: dict[str, int] = {"full": 1, "small": 4, "tiny": 8}
@@ -390,7 +391,8 @@ class VirtualRigConfiguration(_Section):
         ----------
         values
             The fields of this class. With ``preset`` (and optionally ``size``, ``ideal`` and ``alignment``) the other
-            entries change single values of that preset.
+            entries change single values of that preset. With ``arrangement`` and ``place`` (and optionally ``size``)
+            they change those of one of several sensors, see `virtual_sensors`.
 
         Raises
         ------
@@ -411,6 +413,9 @@ class VirtualRigConfiguration(_Section):
                 ideal=entries.pop("ideal", False),
                 alignment=entries.pop("alignment", None),
             )
+            entries = _merge(base, entries)
+        elif "arrangement" in entries:
+            base = arranged(entries.pop("arrangement"), entries.pop("place", ""), size=entries.pop("size", "full"))
             entries = _merge(base, entries)
         try:
             return cls.model_validate(entries)
@@ -558,6 +563,25 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
     if ideal:
         sections["sensor"] = {"read_noise_grey_level": 0.0, "shot_noise_grey_level": 0.0}
     return sections
+
+
+def arranged(name: Any, place: Any, *, size: str = "full") -> dict[str, Any]:
+    """Return the entries of a sensor of an arrangement for `VirtualRigConfiguration.from_dict`.
+
+    Parameters
+    ----------
+    name, place
+        The arrangement, as of `virtual_sensors`, and the sensor in it.
+    size
+        As of `preset`.
+
+    Raises
+    ------
+    VirtualRigError
+        The arrangement, the sensor in it or the size is unknown.
+    """
+    changes = changes_of(name, place)
+    return _merge(preset(name, size=size), changes)
 
 
 def _require_known(entry: str, value: Any, known: list[str]) -> None:

@@ -2,39 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from fringedic.errors import VirtualRigError
-from fringedic.virtual_rig.configuration import VirtualRigConfiguration, preset
+from fringedic.virtual_rig.arrangements import places_of
+from fringedic.virtual_rig.configuration import VirtualRigConfiguration, arranged
 from fringedic.virtual_rig.rig import VirtualRig
-
-Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Translation [mm] and rotation vector [degree] from a sensor's rig frame to the frame of the specimen."""
-
-
-def _around(degrees: float, radius: float) -> Pose:
-    """Return the pose of a sensor that looks at the axis y from an angle, with its origin at a radius [mm]."""
-    angle = math.radians(degrees)
-    return (radius * math.sin(angle), 0.0, radius * math.cos(angle)), (0.0, degrees, 0.0)
-
-
-_RADIUS = 20.0
-# each sensor by its name with its pose; the specimen of each arrangement
-_ARRANGEMENTS: dict[str, tuple[dict[str, Any], dict[str, Pose]]] = {
-    "plate": (
-        {"kind": "plate", "half_width_mm": 48.0, "half_height_mm": 40.0, "gauge_length_mm": 80.0},
-        {"left": ((-19.0, 0.0, 0.0), (0.0, -9.0, 0.0)), "right": ((19.0, 0.0, 0.0), (0.0, 9.0, 0.0))},
-    ),
-    "cylinder": (
-        {"kind": "cylinder", "radius_mm": _RADIUS},
-        {name: _around(angle, _RADIUS) for name, angle in zip(("a", "b", "c", "d"), (0, 90, 180, -90), strict=True)},
-    ),
-    "leather": (
-        {"kind": "leather"},
-        {"left": ((-8.0, 0.0, 0.0), (0.0, -16.0, 0.0)), "right": ((8.0, 0.0, 0.0), (0.0, 16.0, 0.0))},
-    ),
-}
 
 
 def virtual_sensors(
@@ -64,23 +36,9 @@ def virtual_sensors(
     >>> list(virtual_sensors("cylinder", size="tiny"))
     ['a', 'b', 'c', 'd']
     """
-    if name not in _ARRANGEMENTS:
-        raise VirtualRigError(f"sensors {name!r} are unknown; choose from {', '.join(_ARRANGEMENTS)}")
-    own, poses = _ARRANGEMENTS[name]
     rigs = {}
-    for number, (sensor, (translation, rotation)) in enumerate(poses.items()):
-        entries = preset(name, size=size)
-        sign = 1.0 if number % 2 else -1.0
-        entries["camera"] |= {
-            "tilt_x_degree": 0.1 + 0.05 * number,
-            "tilt_y_degree": 0.08 * sign,
-            "lens": {"k1": sign * (0.02 + 0.01 * number), "p1": 2e-4 * sign},
-        }
-        entries["projector"] |= {"roll_degree": 0.5 * sign, "yaw_degree": 0.1 * sign, "k1": 0.02 * sign}
-        entries |= {
-            "specimen": specimen or own,
-            "placement": {"translation_mm": translation, "rotation_degree": rotation},
-            "seed": seed,
-        }
+    for sensor in places_of(name):
+        entries = arranged(name, sensor, size=size)
+        entries |= {"specimen": specimen or entries["specimen"], "seed": seed}
         rigs[sensor] = VirtualRig(VirtualRigConfiguration.from_dict(entries))
     return rigs

@@ -18,6 +18,7 @@ from fringedic.command.app import (
     Output,
     ReferenceStep,
     Rig,
+    RigSensor,
     Sensor,
     Settings,
     Steps,
@@ -58,6 +59,7 @@ def run(
     programme: Annotated[Path | None, typer.Option(help="Load steps that replace those in the rig file.")] = None,
     output: Output = None,
     images: Annotated[Path | None, typer.Option(help="Folder of images for a rig whose camera reads files.")] = None,
+    sensor: RigSensor = None,
     resume: Annotated[
         bool, typer.Option("--continue", help="Go on with the programme where the recording in --output ends.")
     ] = False,
@@ -66,7 +68,7 @@ def run(
     from fringedic_bringup.procedures.run import load_rig, run_experiment
 
     path = rig_path_of(rig)
-    rig_file, steps = load_rig(path, programme, images)
+    rig_file, steps = load_rig(path, programme, images, sensor=sensor)
     if resume and output is None:
         raise ConfigurationError("--continue needs --output, the folder of the run to go on with")
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")

@@ -12,6 +12,7 @@ from fringedic.command.app import MEASURE, Rig, app, say
 from fringedic.command.folders import output_folder
 from fringedic.command.view import LOCAL, PORT, Certificate, Host, Key, announce, ended_by_signals, page_address
 from fringedic.configuration.installed_rigs import rig_path_of
+from fringedic.errors import ConfigurationError
 
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")]
 
@@ -26,12 +27,16 @@ def operate(
     key: Key = None,
 ) -> None:
     """Set up, run and watch a test in a browser; prints the address of the page."""
-    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic.configuration.rig_sensors import load_rig_sensors
     from fringedic_bringup.operating.operate import operate as serve
     from fringedic_bringup.operating.procedures import Place
 
     path = rig if rig.exists() else own_copy(rig_path_of(rig))
-    load_rig_file(path)
+    if len(names := load_rig_sensors(path).names) > 1:
+        raise ConfigurationError(
+            f"{path}: the page shows one sensor, and the rig has {', '.join(names)}: measure with 'fringedic run', and "
+            "write a rig file of one sensor for the page"
+        )
     place = page_address(address, port, certificate, key)
     stop = ended_by_signals().is_set
     serve(Place(path), place, attach=attach, ready=lambda: announce(place, "drive the machine"), stop=stop)

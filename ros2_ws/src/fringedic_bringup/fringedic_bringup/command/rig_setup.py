@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fringedic.command.app import SET_UP, Rig, app, begin, console, say
+from fringedic.command.app import SET_UP, Rig, RigSensor, app, begin, console, say
 from fringedic.command.folders import unused_folder
 from fringedic.command.progress import LiveProgress
 from fringedic.configuration.installed_rigs import rig_path_of
@@ -32,6 +32,7 @@ def live(
         ),
     ] = "",
     once: Annotated[bool, typer.Option("--once", help="Print the figures once, and end.")] = False,
+    sensor: RigSensor = None,
 ) -> None:
     """Show the figures of the camera image during set-up: focus, grey levels, speckle size, fringes and noise."""
     from fringedic.configuration.rig_file import load_rig_file
@@ -39,7 +40,10 @@ def live(
     from fringedic_bringup.procedures.live import FRAMES_OF_ONE_LOOK, part_of_image, watch
 
     path, part = rig_path_of(rig), part_of_image(region)
-    with suppress(KeyboardInterrupt), closing(watch(load_rig_file(path), path, pattern, region=part)) as views:
+    with (
+        suppress(KeyboardInterrupt),
+        closing(watch(load_rig_file(path, sensor=sensor), path, pattern, region=part)) as views,
+    ):
         if once or not console.is_terminal:
             print_once(console, views, pattern, path.stem, frames=FRAMES_OF_ONE_LOOK)
         else:
@@ -78,6 +82,7 @@ def show(
             metavar="PATTERN", help="crosshair, grid, focus (lines of 1 to 4 px), white, grey, dark or fringes."
         ),
     ] = "crosshair",
+    sensor: RigSensor = None,
 ) -> None:
     """Hold a pattern on the projector until Enter or Ctrl-C, while the rig is adjusted."""
     from fringedic.configuration.rig_file import load_rig_file
@@ -93,7 +98,7 @@ def show(
 
     path = rig_path_of(rig)
     with suppress(KeyboardInterrupt):
-        hold_pattern(load_rig_file(path), path, ShownPattern(pattern), wait_for_enter)
+        hold_pattern(load_rig_file(path, sensor=sensor), path, ShownPattern(pattern), wait_for_enter)
 
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic timing plate.yaml --output timing")
@@ -104,6 +109,7 @@ def timing(
     ] = 3.0,
     longest_ms: Annotated[float, typer.Option(min=20, max=10_000, help="Longest delay of a pattern.")] = 300.0,
     output: Annotated[Path, typer.Option(help="Folder for timing.yaml and its picture.")] = Path("timing"),
+    sensor: RigSensor = None,
 ) -> None:
     """Measure the delay and the refresh of the projector, and recommend exposure and settle time."""
     from fringedic.configuration.rig_file import load_rig_file
@@ -113,7 +119,12 @@ def timing(
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
         report = measure_rig_timing(
-            load_rig_file(path), path, folder, progress, exposure_time=1e-3 * exposure_ms, longest=1e-3 * longest_ms
+            load_rig_file(path, sensor=sensor),
+            path,
+            folder,
+            progress,
+            exposure_time=1e-3 * exposure_ms,
+            longest=1e-3 * longest_ms,
         )
     say(*report.words)
     say(f"set in the rig file:\n{report.settings}", f"picture: {folder / 'timing.png'}")
@@ -123,6 +134,7 @@ def timing(
 def response(
     rig: Rig,
     output: Annotated[Path, typer.Option(help="Folder for response.yaml and its picture.")] = Path("response"),
+    sensor: RigSensor = None,
 ) -> None:
     """Measure the response curve of projector and camera, and the phase error without and with its correction."""
     from fringedic.configuration.rig_file import load_rig_file
@@ -131,7 +143,7 @@ def response(
     path = rig_path_of(rig)
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
-        report = measure_rig_response(load_rig_file(path), path, folder, progress)
+        report = measure_rig_response(load_rig_file(path, sensor=sensor), path, folder, progress)
     say(*report.words)
     if report.setting:
         say(f"set in the rig file:\n{report.setting}")

@@ -15,13 +15,15 @@ from fringedic_bringup.procedures.exposing import ExposingClient
 SETTLING_S = 1.0  # longer than the delay of any projector
 
 
-def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> Frame:
+def frame_of_rig(rig_path: Path, *, sensor: str | None = None, domain: int | None = None) -> Frame:
     """Return a frame of a rig in white light.
 
     Parameters
     ----------
     rig_path
         The rig file.
+    sensor
+        Name of the sensor, if the file has several.
     domain
         ROS_DOMAIN_ID of the rig's nodes; None takes the one of the environment.
 
@@ -30,7 +32,7 @@ def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> Frame:
     ConfigurationError, NodeDiedError, WaitTimeoutError, StepFailedError
         The rig file is not valid, or the camera of the rig takes no frame.
     """
-    rig = load_rig_file(rig_path)
+    rig = load_rig_file(rig_path, sensor=sensor)
     graph = exposing_graph(rig)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-region-") as folder,

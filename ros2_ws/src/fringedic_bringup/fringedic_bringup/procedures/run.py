@@ -36,7 +36,9 @@ from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import join_parts
 
 
-def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -> tuple[RigFile, Programme]:
+def load_rig(
+    rig_path: Path, programme_path: Path | None, images: Path | None, *, sensor: str | None = None
+) -> tuple[RigFile, Programme]:
     """Read what a run needs.
 
     Parameters
@@ -45,13 +47,15 @@ def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -
         The rig file, and a programme that replaces the one in it.
     images
         Folder or pattern that replaces ``camera.files``.
+    sensor
+        Name of the sensor, if the rig file has several.
 
     Raises
     ------
     ConfigurationError
         A file is not valid, names images that do not exist, or no programme defines the steps.
     """
-    rig = load_rig_file(rig_path)
+    rig = load_rig_file(rig_path, sensor=sensor)
     if images is not None:
         if rig.camera.source != "files":
             raise ConfigurationError(f"{rig_path}: camera.source is {rig.camera.source}; only 'files' takes images")
