@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 from math import nan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rclpy.action.server import ActionServer, ServerGoalHandle
 from rclpy.task import Future
@@ -41,6 +42,9 @@ from fringedic_ros.stamps import to_msg
 from fringedic_ros.topics import NODE_PARAMETERS
 from fringedic_ros.waiting import wait_for
 
+if TYPE_CHECKING:
+    from fringedic.sensors.poses import SensorPose
+
 Goal, Result = MeasureStep.Goal, MeasureStep.Result
 HOLD_S = 5.0  # for the load frame to answer the hold of a failed step
 
@@ -51,8 +55,9 @@ class ExperimentNode(RigNode):
     def __init__(self) -> None:
         super().__init__("experiment")
         self._settings = self.create_publisher(NodeParameters, NODE_PARAMETERS, LATCHED_BY_MANY)
-        self.parameters = declare(self, ExperimentNodeSettings, self._publish_later)
+        self.parameters = declare(self, ExperimentNodeSettings, self._take_parameters)
         parameters = self.parameters.value
+        self._first_step = parameters.first_step
         self._publish_later(parameters)
         self._diagnostics = NodeDiagnostics(self)
         self._slot = GoalSlot(self)
@@ -72,7 +77,7 @@ class ExperimentNode(RigNode):
         self._calibration_server = CalibrationServer(
             self, self._slot, self._plane_steps, self._experiments, self._diagnostics, self._publish_calibration
         )
-        self._transforms = RigTransforms(self)
+        self._transforms = RigTransforms(self, _pose(parameters))
         self._transforms.publish(None, to_msg(time.time_ns()))
         if parameters.calibration_file:
             file = Path(parameters.calibration_file)
@@ -93,6 +98,13 @@ class ExperimentNode(RigNode):
         message.source = message.source or source
         self._calibrations.publish(message)
         self._transforms.publish(model, message.header.stamp)
+
+    def _take_parameters(self, parameters: ExperimentNodeSettings) -> None:
+        """Act on changed parameters; a later number continues beside other sensors, whose steps have the same ones."""
+        if parameters.first_step != self._first_step:
+            self._first_step = parameters.first_step
+            self._experiment.next_step = max(self._experiment.next_step, parameters.first_step)
+        self._publish_later(parameters)
 
     def _publish_later(self, parameters: ExperimentNodeSettings) -> None:
         """Record what the frames are to be measured with later, as the processing nodes would if they ran."""
@@ -220,6 +232,16 @@ def _patterns(mode: int, parameters: ExperimentNodeSettings) -> tuple[ProjectedP
     if mode == Goal.WHITE:
         return (ProjectedPattern(PatternKind.WHITE),)
     return parameters.moving_step_patterns() if mode == Goal.MOVING else parameters.step_patterns()
+
+
+def _pose(parameters: ExperimentNodeSettings) -> tuple[str, SensorPose] | None:
+    """Return the frame that several sensors have in common, and the pose of the frame of the rig in it."""
+    if not parameters.common_frame:
+        return None
+    from fringedic.sensors.poses import SensorPose  # a rig of one sensor does not load it
+
+    x, y, z, *rotation = parameters.pose_in_common_frame
+    return parameters.common_frame, SensorPose((rotation[0], rotation[1], rotation[2]), (x, y, z))
 
 
 def _publish_feedback(stage: str, step: RunningStep) -> None:

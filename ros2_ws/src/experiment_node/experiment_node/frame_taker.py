@@ -20,6 +20,7 @@ from fringedic_ros.stamps import to_nanoseconds
 Result = MeasureStep.Result
 AGAIN_S = 1.0
 PLACED_S = 2.0  # longest wait for the state of a stage, which an inactive one does not publish
+_DARK = ShowPattern.Request(kind=int(PatternKind.OTHER), name="dark")
 CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
@@ -101,13 +102,29 @@ class FrameTaker:
         self._is_white = pattern.kind is PatternKind.WHITE
         return response.shown
 
-    def leave_white(self, parameters: ExperimentNodeSettings) -> None:
-        """Request white after a step that failed or was cancelled while a pattern was on the screen.
+    async def darken(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
+        """Show the dark screen, and wait until it is there.
+
+        Raises
+        ------
+        StepFailure
+            PROJECTOR_TIMEOUT, PROJECTOR_FAILED.
+        """
+        response = await step.goal.call(
+            self._show, _DARK, parameters.projector_timeout_s, Result.PROJECTOR_TIMEOUT, "dark screen"
+        )
+        if response.error_code != ShowPattern.Request.NONE:
+            raise StepFailure(Result.PROJECTOR_FAILED, f"dark screen: {response.error_message}")
+
+    def leave(self, parameters: ExperimentNodeSettings) -> None:
+        """Request white or dark after a step that failed or was cancelled while a pattern was on the screen.
 
         Nobody waits for the answer: the record of the failure and the request to hold come first.
         """
         if parameters.projector and parameters.white_between_steps and not self._is_white:
             self._show.call_async(ShowPattern.Request(kind=int(PatternKind.WHITE)))
+        if parameters.projector and parameters.dark_between_steps:
+            self._show.call_async(_DARK)
 
     async def capture(
         self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentNodeSettings

@@ -121,7 +121,7 @@ class StepRunner:
         try:
             await self._take_frames(step, parameters)
         except Exception:
-            self.frames.leave_white(parameters)
+            self.frames.leave(parameters)
             raise
         if step.taken == len(step.patterns):  # fewer when a node has failed meanwhile
             await self._await_records(step, parameters)
@@ -194,10 +194,12 @@ class StepRunner:
             self._load.check_latest(step, parameters)
             self._recorder.check(parameters)
             if step.failed_node:
-                self.frames.leave_white(parameters)
+                self.frames.leave(parameters)
                 return  # the step has failed: further frames are useless
         if parameters.projector and parameters.white_between_steps:
             await self.frames.show(step, ProjectedPattern(PatternKind.WHITE), parameters)
+        if parameters.projector and parameters.dark_between_steps:
+            await self.frames.darken(step, parameters)
         step.experiment.ready = True
 
     async def _await_records(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:

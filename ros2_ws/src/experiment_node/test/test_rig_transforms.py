@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from experiment_node.rig_transforms import rig_transforms
 from fringedic.rig.model import RigModel
+from fringedic.sensors.poses import SensorPose
 from fringedic.virtual_rig import VirtualRig
 from fringedic_ros.rig_node import RigNode
 
@@ -54,6 +55,16 @@ def test_the_tree_is_complete_and_has_the_prefix_of_the_rig(transforms: dict[str
     names = {"camera_optical_frame", "projector_optical_frame", "load_frame"}
     assert transforms.keys() == {f"left/rig/{name}" for name in names}
     assert {each.header.frame_id for each in transforms.values()} == {"left/rig/reference_plane"}
+
+
+def test_a_sensor_has_a_pose_in_the_frame_of_another_one(node: RigNode, rig: RigModel) -> None:
+    pose = SensorPose((0.1, -0.2, 0.3), (0.02, 0.0, -0.01))
+    *own, placed = rig_transforms(node, rig, Time(), ("right/rig/reference_plane", pose))
+    assert len(own) == 3
+    assert (placed.header.frame_id, placed.child_frame_id) == ("right/rig/reference_plane", "left/rig/reference_plane")
+    point = np.array([0.01, 0.02, 0.03])
+    found = rotation(placed).apply(point) + position(placed)
+    np.testing.assert_allclose(found, pose.apply(point[:, None]).ravel(), atol=1e-15)
 
 
 def test_without_calibration_the_load_frame_is_there(node: RigNode) -> None:

@@ -67,10 +67,10 @@ def drawn_model(twin: VirtualRig, sensor: str, generator: np.random.Generator) -
         sensor=sensor,
         identifier=f"{sensor} {generator.integers(1 << 30)}",
         parameter_names=names,
-        covariance=tuple(np.diag(sigma**2).ravel()),
+        covariance=tuple(np.diag(sigma**2).ravel().tolist()),
     )
     values = parameter_values(exact, names) + sigma * generator.standard_normal(len(names))
-    return with_parameters(exact, names, values)
+    return with_parameters(exact, names, values.tolist())
 
 
 def phase_of(twin: VirtualRig, position: float, generator: np.random.Generator) -> np.ndarray:

@@ -36,7 +36,7 @@ from fringedic.calibration.sentences import placing_instruction
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import MoveStoppedError, RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.signals import SignalCollector
-from fringedic_bringup.launch.readiness import Readiness
+from fringedic_bringup.launch.readiness import RECORDER, Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, Signal, StepStatus
@@ -80,6 +80,10 @@ class RigClient:
         Called about ten times a second while waiting; an exception that it raises ends the wait.
     name
         Name of this controller, which other controllers see while they wait.
+    beside
+        Client of the rig to whose sensor this one belongs: each of both runs the callbacks of both.
+    recorder
+        Name of the recorder node, relative to the namespace or with its own.
 
     Attributes
     ----------
@@ -96,12 +100,15 @@ class RigClient:
         domain: int | None = None,
         watch: Callable[[], None] = lambda: None,
         name: str = "client",
+        beside: RigClient | None = None,
+        recorder: str = RECORDER,
     ) -> None:
         self.last_step = -1
         self._name = name
         self._watch = watch
-        self._participant = Participant(name, namespace, domain=domain)
-        self.node: Node = self._participant.node
+        around = None if beside is None else beside.participant
+        self.participant: Participant = Participant(name, namespace, domain=domain, beside=around)
+        self.node: Node = self.participant.node
         self._measure = ActionClient(self.node, MeasureStep, "measure_step")
         self._move = ActionClient(self.node, MoveCrosshead, "move_crosshead")
         self._calibrate_distortion = ActionClient(self.node, CalibrateDistortion, "calibrate_distortion")
@@ -116,7 +123,7 @@ class RigClient:
             "load_frame": {"move_crosshead": self._move},
         }
         self._servers = {client: node for node, clients in actions.items() for client in clients.values()}
-        self._readiness = Readiness(self.node, actions, self._place)
+        self._readiness = Readiness(self.node, actions, self._place, recorder)
         self._start = self.node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self.node.create_client(SetReference, "experiment/set_reference")
         self._hold = self.node.create_client(Trigger, "load_frame/hold")
@@ -142,7 +149,7 @@ class RigClient:
         self._own_hold: RepeatedRequest | None = None  # of which a request may still be on its way
         self._pings = {
             name: self.node.create_client(GetParameters, f"{name}/get_parameters")
-            for name in ("experiment", "load_frame", "recorder")
+            for name in ("experiment", "load_frame", recorder)
         }
 
     def __enter__(self) -> Self:
@@ -151,7 +158,7 @@ class RigClient:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._participant.close()
+        self.participant.close()
 
     @property
     def recorder(self) -> RecorderStatus | None:
@@ -546,12 +553,56 @@ class RigClient:
         StepFailedError
             The step ended with an error; the message names experiment and step.
         """
+        return self.finish_measuring(self.begin_measuring(mode, set_reference=set_reference, feedback=feedback))
+
+    def begin_measuring(
+        self,
+        mode: Literal["fringes", "white", "moving"],
+        *,
+        set_reference: bool = False,
+        feedback: Callable[[MeasureStep.Feedback], None] = lambda _: None,
+    ) -> RepeatedGoal:
+        """Request a step as `measure` does, without waiting for its result, which `finish_measuring` returns.
+
+        Raises
+        ------
+        StepFailedError
+            The experiment node refuses the goal.
+        """
         goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference, controller=self._name)
-        for followed in (self._strain, *self._followed.values()):
-            followed.of_step = math.nan
-        result = self._goal(self._measure, goal, "measure_step", feedback)
+        self.forget_readings()
+        return self._send(self._measure, goal, "measure_step", feedback)
+
+    def finish_measuring(self, sent: RepeatedGoal) -> MeasureStep.Result:
+        """Return the result of a step that has begun.
+
+        Raises
+        ------
+        StepFailedError
+            The step ended with an error; the message names experiment and step.
+        """
+        result = self._result(sent, sent.request_result, "measure_step")
         self._take_number(result)
         return _without_error(result)
+
+    def wait_while_measuring(self, sent: RepeatedGoal, done: Callable[[], bool]) -> None:
+        """Wait for something in the course of a step that has begun.
+
+        Raises
+        ------
+        WaitTimeoutError
+            There is no feedback for a long time, or the node is missing.
+        """
+        self._await_server(sent.client, done, STEP_TIMEOUT_S, "measure_step", lambda: sent.last_sign_s)
+
+    def forget_readings(self) -> None:
+        """Forget the readings of the last step; a new one begins."""
+        for followed in (self._strain, *self._followed.values()):
+            followed.of_step = math.nan
+
+    def of_node(self, name: str) -> RigClient:  # noqa: ARG002 (a rig of several sensors has others)
+        """Return the client of the sensor that a node belongs to."""
+        return self
 
     def calibrate_distortion(
         self,
@@ -678,7 +729,7 @@ class RigClient:
         patience = Patience(timeout_s)
         with LongRequest(self.node, self._place, request) as sent:
             while self._place.service_is_ready() and not sent.is_answered() and not patience.is_over():
-                self._participant.spin_once(0.1)
+                self.participant.spin_once(0.1)
 
     def serve_placing(self, place: Callable[[int, float, float], str]) -> None:
         """Serve ``reference_plane/place`` as a stage would; this client then waits a day for a plane to be placed.
@@ -718,7 +769,7 @@ class RigClient:
             The recorder does not answer.
         """
         self.sleep(HEARTBEATS_S)
-        self.call_again(self._pings["recorder"], GetParameters.Request(), START_TIMEOUT_S)
+        self.call_again(self._pings[RECORDER], GetParameters.Request(), START_TIMEOUT_S)
 
     def sleep(self, seconds: float) -> None:
         """Wait, with the checks of `watch`."""
@@ -779,7 +830,7 @@ class RigClient:
             self._spin_once()
 
     def _spin_once(self) -> None:
-        self._participant.spin_once(0.1)
+        self.participant.spin_once(0.1)
         self._watch()
 
     def _act(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:

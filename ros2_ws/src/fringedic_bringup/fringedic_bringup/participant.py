@@ -27,6 +27,8 @@ class Participant:
         Of the node.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
+    beside
+        Another one, whose context the node is in: `spin_once` of either runs the callbacks of both.
 
     Attributes
     ----------
@@ -34,25 +36,35 @@ class Participant:
         For publishers, subscriptions and clients.
     """
 
-    def __init__(self, name: str, namespace: str, *, domain: int | None = None) -> None:
-        for variable, value in node_environment().items():
-            os.environ.setdefault(variable, value)
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node(name, namespace=namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+    def __init__(
+        self, name: str, namespace: str, *, domain: int | None = None, beside: Participant | None = None
+    ) -> None:
+        self._owns_context = beside is None
+        if beside is None:
+            for variable, value in node_environment().items():
+                os.environ.setdefault(variable, value)
+            self.context = Context()
+            rclpy.init(context=self.context, domain_id=domain)
+            self.executor = SingleThreadedExecutor(context=self.context)
+        else:
+            self.context, self.executor = beside.context, beside.executor
+        self.node = Node(name, namespace=namespace, context=self.context)
+        self.executor.add_node(self.node)
 
     def spin_once(self, timeout_s: float) -> None:
         """Run one callback that is ready, or wait for one at most this long; Ctrl-C interrupts it afterwards."""
         with _signals_afterwards():
-            self._executor.spin_once(timeout_sec=timeout_s)
+            self.executor.spin_once(timeout_sec=timeout_s)
 
     def close(self) -> None:
-        """End the node."""
-        self._executor.shutdown()
+        """End the node, and the context that it did not take from another one."""
+        if self._owns_context:
+            self.executor.shutdown()
+        else:
+            self.executor.remove_node(self.node)
         end_node(self.node)
-        rclpy.try_shutdown(context=self._context)
+        if self._owns_context:
+            rclpy.try_shutdown(context=self.context)
 
 
 @contextmanager

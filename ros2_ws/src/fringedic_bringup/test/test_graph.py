@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from fringedic.configuration.rig_file import load_rig_file
+from fringedic.configuration.rig_sensors import load_rig_sensors
 from fringedic.errors import ConfigurationError
 from fringedic.rig.model import RigModel
+from fringedic.sensors.poses import SensorPose
+from fringedic.sensors.registration import Registration
 from fringedic.settings.parameters import from_parameters
 from fringedic.settings.signals import SignalsNodeSettings, signal_settings
 from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, projecting_graph, rig_graph
@@ -224,3 +228,37 @@ def test_the_calibration_of_a_run_has_the_name_of_its_sensor_and_one_of_another_
     path.write_text(others)
     with pytest.raises(ConfigurationError, match=r"that of the sensor 'left', this is the sensor 'right': use the cal"):
         rig_graph(load_rig_file(path), path, tmp_path / "again")
+
+
+def test_sensors_have_their_own_nodes_and_one_load_frame(tmp_path: Path) -> None:
+    path = CONFIG / "two_sensors.yaml"
+    left, right = load_rig_sensors(path).rigs
+    pose = SensorPose((0.0, 0.1, 0.0), (0.03, 0.0, 0.0))
+    registration = Registration(
+        reference="left",
+        poses={"left": SensorPose(), "right": pose},
+        covariance=np.eye(6),
+        directions={},
+        shared={},
+        calibrations={},
+        chi_square=0.0,
+        freedom=0,
+        residuals=(),
+    )
+    graph = rig_graph(left, path, tmp_path, others=[right], registration=registration)
+    nodes = {node.name: node for node in graph.nodes}
+    own = ("phase", "dic", "coupling", "projector", "stage", "camera", "experiment")
+    assert list(nodes) == ["recorder", "load_frame", *(f"{sensor}/{name}" for sensor in graph.sensors for name in own)]
+    assert nodes["recorder"].parameters["sensors"] == graph.sensors == ["left", "right"]
+    assert nodes["load_frame"].remappings == {}
+    assert nodes["load_frame"].parameters["frame_prefix"] == "rig/left"
+    assert nodes["right/experiment"].remappings["load_frame/state"] == "/rig/load_frame/state"
+    placed = {name: nodes[f"{name}/experiment"].parameters for name in graph.sensors}
+    assert placed["left"]["common_frame"] == ""
+    assert placed["right"]["common_frame"] == "rig/left/reference_plane"
+    assert placed["right"]["pose_in_common_frame"] == [0.03, 0.0, 0.0, 0.0, 0.1, 0.0]
+    assert all(each["dark_between_steps"] for each in placed.values())
+    assert {file.name for file in tmp_path.glob("calibration*")} == {"calibration.left.yaml", "calibration.right.yaml"}
+    file = nodes["right/phase"].write_parameters(tmp_path)
+    assert file == tmp_path / "right" / "phase.yaml"
+    assert nodes["right/phase"].changed_parameters(tmp_path) == set()

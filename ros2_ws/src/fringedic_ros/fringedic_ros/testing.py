@@ -73,7 +73,12 @@ def _ancestors(pid: int) -> Iterator[int]:
 def node_pids(folder: Path) -> dict[str, int]:
     """Return the processes of the nodes of a run by their names: the command line contains the parameter file."""
     logs = f"{folder / 'logs'}/"
-    return {Path(word).stem: pid for pid, words in command_lines() for word in words if word.startswith(logs)}
+    return {
+        word.removeprefix(logs).removesuffix(".yaml"): pid
+        for pid, words in command_lines()
+        for word in words
+        if word.startswith(logs)
+    }
 
 
 class NodeProcess:

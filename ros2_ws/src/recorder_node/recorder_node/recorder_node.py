@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Literal, NamedTuple, TypedDict
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -18,7 +18,7 @@ from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
 from fringedic.recording.writer import BagWriter
 from fringedic.settings.recorder import RecorderNodeSettings
-from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
+from fringedic_msgs.msg import RecorderStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
 from fringedic_ros.middleware import Endpoint
@@ -26,11 +26,9 @@ from fringedic_ros.parameters import declare
 from fringedic_ros.polled import OnDemand
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.rig_node import FIXED_QOS, RigNode
-from fringedic_ros.serialized import header_stamp, image_crc, message_type, read, step_crc
-from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.serialized import message_type, step_crc
 from fringedic_ros.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
-from recorder_node.exposure_tally import ExposureTally
-from recorder_node.step_tally import StepTally
+from recorder_node.sensor_tally import SensorTally
 from recorder_node.writing_thread import ReceivedMessage, WritingThread
 
 DISCOVERY_PERIOD_S = 0.1
@@ -42,6 +40,13 @@ SAMPLES_S = 0.05  # samples are taken together after this time: a turn of the ex
 LAST_RECORD_POLL_S = 0.002
 LAST_RECORD_S = 3.0  # longest wait for the end of a step that is cut off
 UNREADABLE_S = 10.0  # shortest time between two reports of messages that cannot be read
+
+
+class _Name(NamedTuple):
+    """Name of a topic of a rig, with the namespace of its sensor before it, which is empty for the rig itself."""
+
+    namespace: str
+    topic: str
 
 
 class MessageInfo(TypedDict, total=False):
@@ -66,21 +71,26 @@ class RecorderNode(RigNode):
         self.parameters = declare(self, RecorderNodeSettings)
         self.diagnostics = NodeDiagnostics(self)
         self._subscriptions_by_topic: dict[str, Subscription] = {}
-        self._kinds: dict[str, tuple[str, type]] = {}  # relative name and type of each subscribed topic
+        self._kinds: dict[str, tuple[_Name, type]] = {}  # relative name and type of each subscribed topic
         self._refused: set[str] = set()
-        self._tally = ExposureTally()
-        self._step = StepTally()
-        self._status = RecorderStatus(state=RecorderStatus.IDLE)
-        self._status_publisher = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
+        parameters = self.parameters.value
+        # the rig, and each sensor in a namespace of its own, whose experiment node waits for a status there
+        namespaces = ("", *(f"{sensor}/" for sensor in parameters.sensors))
+        self._tallies = {namespace: SensorTally() for namespace in namespaces}
+        self._status = RecorderStatus(state=RecorderStatus.IDLE, derived=parameters.derived)
+        self._status_publishers = {
+            namespace: self.create_publisher(RecorderStatus, f"{namespace}recorder/status", LATCHED)
+            for namespace in namespaces
+        }
         self._publishing = threading.Lock()
         self._writing: WritingThread | None = None
-        self._exposed = False  # all frames of the step
-        self._in_step = False
-        self._confirmed = "", 0, 0, 0  # fields of the status, set by the writing thread
-
-        parameters = self.parameters.value
-        self._status.derived = parameters.derived
-        self._topics = RAW_TOPICS + (DERIVED_TOPICS if parameters.derived else ())
+        topics = RAW_TOPICS + (DERIVED_TOPICS if parameters.derived else ())
+        self._topics = [
+            _Name(namespace, name)
+            for namespace in namespaces
+            for name in topics
+            if not (namespace and name.startswith("/"))  # a topic of all rigs
+        ]
         if parameters.bag_path:
             self._open(parameters)
         self.create_timer(DISCOVERY_PERIOD_S, self._discover)
@@ -95,7 +105,7 @@ class RecorderNode(RigNode):
         record of the experiment node.
         """
         end = time.monotonic() + LAST_RECORD_S
-        while self._in_step and self._writing and time.monotonic() < end:
+        while any(each.in_step for each in self._tallies.values()) and self._writing and time.monotonic() < end:
             time.sleep(LAST_RECORD_POLL_S)
             for topic, (name, kind) in self._kinds.items():
                 self._record(name, topic, self._waiting_messages(topic, kind))
@@ -131,14 +141,14 @@ class RecorderNode(RigNode):
             return
         unmatched = False
         for name in self._topics:
-            topic = self.resolve_topic_name(name)
+            topic = self.resolve_topic_name(f"{name.namespace}{name.topic}")
             announced = self.count_publishers(topic)  # ten times a second: asking for their settings costs too much
             if announced and topic not in self._subscriptions_by_topic and topic not in self._refused:
                 publishers = [each for each in self.get_publishers_info_by_topic(topic) if each.topic_type]
                 if publishers:
                     self._subscribe(name, topic, publishers)
             subscription = self._subscriptions_by_topic.get(topic)
-            if subscription and name in RAW_TOPICS and subscription.get_publisher_count() < announced:
+            if subscription and name.topic in RAW_TOPICS and subscription.get_publisher_count() < announced:
                 unmatched = True
         if self._status.state == RecorderStatus.STARTING and self._subscriptions_by_topic and not unmatched:
             self._status.state = RecorderStatus.RECORDING
@@ -162,7 +172,7 @@ class RecorderNode(RigNode):
         )
         return True
 
-    def _subscribe(self, name: str, topic: str, publishers: Sequence[Endpoint]) -> None:
+    def _subscribe(self, name: _Name, topic: str, publishers: Sequence[Endpoint]) -> None:
         first = publishers[0]
         assert self._writing is not None
         try:
@@ -176,13 +186,13 @@ class RecorderNode(RigNode):
             self._publish_status()
             return
         callback = self._take_batches_of(name, topic, kind)
-        options = {"callback_group": OnDemand()} if name in SAMPLE_TOPICS else {}
+        options = {"callback_group": OnDemand()} if name.topic in SAMPLE_TOPICS else {}
         self._kinds[topic] = name, kind
         self._subscriptions_by_topic[topic] = self.create_subscription(
             kind,
             topic,
             callback,
-            _compatible_profile(name, publishers),
+            _compatible_profile(name.topic, publishers),
             raw=True,
             qos_overriding_options=FIXED_QOS,
             **options,
@@ -190,7 +200,7 @@ class RecorderNode(RigNode):
 
     # messages
 
-    def _take_batches_of(self, name: str, topic: str, kind: type) -> Callable[[bytes, MessageInfo], None]:
+    def _take_batches_of(self, name: _Name, topic: str, kind: type) -> Callable[[bytes, MessageInfo], None]:
         """Return the callback of a topic, which takes all messages that wait: a turn of the executor is expensive."""
 
         def take(data: bytes, info: MessageInfo) -> None:
@@ -201,7 +211,7 @@ class RecorderNode(RigNode):
     def _take_samples(self) -> None:
         """Record the samples that have arrived."""
         for topic, (name, kind) in self._kinds.items():
-            while name in SAMPLE_TOPICS and (taken := self._waiting_messages(topic, kind)):
+            while name.topic in SAMPLE_TOPICS and (taken := self._waiting_messages(topic, kind)):
                 self._record(name, topic, taken)
 
     def _waiting_messages(self, topic: str, kind: type) -> Taken:
@@ -214,10 +224,10 @@ class RecorderNode(RigNode):
                     taken.append(waiting)
         return taken
 
-    def _record(self, name: str, topic: str, taken: Taken) -> None:
+    def _record(self, name: _Name, topic: str, taken: Taken) -> None:
         if not self._writing or not taken:
             return
-        if name not in SAMPLE_TOPICS:
+        if name.topic not in SAMPLE_TOPICS:
             self._take_samples()  # so that those of a step are recorded before its end
         received = time.time_ns()
         self._writing.put(
@@ -232,47 +242,32 @@ class RecorderNode(RigNode):
                 for data, info in taken
             ]
         )
-        if name in (IMAGE, EXPOSURE, STEP):
+        if name.topic in (IMAGE, EXPOSURE, STEP):
             for data, _ in taken:
                 try:
                     self._count(name, data)
                 except RecordingError as error:
                     self.get_logger().error(f"{topic}: {error}; it is recorded", throttle_duration_sec=UNREADABLE_S)
 
-    def _count(self, name: str, data: bytes) -> None:
+    def _count(self, name: _Name, data: bytes) -> None:
         """Count an image or exposure, or act on the stage of a step."""
-        if name == IMAGE:
-            self._status.images += 1
+        tally = self._tallies[name.namespace]
+        has_ended = tally.count(name.topic, data)
+        if name.topic == IMAGE:
             self.diagnostics.success()
-            stamp = header_stamp(data)
-            self._tally.add_image(stamp)
-            self._step.add_image(stamp, image_crc(data))
-            self._confirm()
-        elif name == EXPOSURE:
-            record = read(data, Exposure)
-            self._tally.add_exposure(to_nanoseconds(record.header.stamp))
-            self._step.add_record(record)
-            self._confirm()
-        elif self._writing:
-            message = read(data, StepStatus)
-            self._step.begin(message.experiment, message.step)
-            self._exposed = message.stage == StepStatus.PROCESS
-            self._in_step = message.stage not in (StepStatus.END, StepStatus.ERROR)
-            self._confirm()
-            if message.stage in (StepStatus.END, StepStatus.ERROR):
-                self._tally.end_step()
-                self._writing.sync()
+        self._confirm(name.namespace)
+        if has_ended and self._writing:
+            self._writing.sync()
 
-    def _confirm(self) -> None:
+    def _confirm(self, namespace: str) -> None:
         """Publish how many frames of a step are written once all were exposed; the experiment node waits for it."""
-        if self._exposed and self._writing:
-            step, crcs = self._step, self._step.confirmed()
-            experiment, number = step.experiment, step.step
-            self._writing.then(lambda: self._publish_confirmed(experiment, number, crcs))
+        confirmed = self._tallies[namespace].to_confirm()
+        if confirmed is not None and self._writing:
+            self._writing.then(lambda: self._publish_confirmed(namespace, *confirmed))
 
-    def _publish_confirmed(self, experiment: str, step: int, crcs: list[int]) -> None:
+    def _publish_confirmed(self, namespace: str, experiment: str, step: int, crcs: list[int]) -> None:
         """Publish, in the thread that has written them."""
-        self._confirmed = experiment, step, len(crcs), step_crc(crcs)
+        self._tallies[namespace].confirmed = experiment, step, len(crcs), step_crc(crcs)
         self._publish_status()
 
     # status
@@ -295,11 +290,14 @@ class RecorderNode(RigNode):
         with self._publishing:  # the writing thread confirms frames meanwhile
             status = self._status
             status.header.stamp = self.get_clock().now().to_msg()
-            status.missing_images = self._tally.missing
-            status.experiment, status.step, status.step_frames, status.step_crc = self._confirmed
             if self._writing:
                 status.messages, status.bytes = self._writing.messages, self._writing.bytes
-            self._status_publisher.publish(status)
+            for namespace, tally in self._tallies.items():
+                tally.fill_in(status)
+                if not namespace:  # of all sensors
+                    status.images = sum(each.images for each in self._tallies.values())
+                    status.missing_images = sum(each.missing for each in self._tallies.values())
+                self._status_publishers[namespace].publish(status)
 
 
 _HISTORIES: dict[HistoryPolicy, Literal["keep_last", "keep_all"]] = {

@@ -25,12 +25,14 @@ from fringedic.datasets.quantities import ATTACHMENTS, CLOSURES
 from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import FringedicError
 from fringedic.evidence.log import Entry
+from fringedic.frames.sensor import JOINED
 from fringedic.provenance import differences, processor, software_identity
 from fringedic.recording.bag_files import BAG
 from fringedic.rig.model import RigModel
 from fringedic.signals import attachment_digests
 from fringedic.wording.numbers import counted, number_text
 
+_FILES_OF_SENSORS = "calibration_files"
 _SHOWN = 5  # differences in a sentence
 _CHANGED = "the results were changed; or the software was, without its commit saying so"
 PHASE_CHECK = "phase_closure"
@@ -54,6 +56,13 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     settings: Mapping[str, Any] = noted[-1].details[DATASETS][path.name] if noted else {}
     try:
         with tempfile.TemporaryDirectory(prefix="fringedic-audit-") as folder, open_experiment(path) as stored:
+            if sensor_of(stored) == JOINED:
+                return Part(
+                    name,
+                    Result.OPEN,
+                    "the joined surface is not computed again; the results of its sensors are",
+                    f"'fringedic process' of a copy of {bag} with the same registration joins them again",
+                )
             if json.loads(stored.attrs.get(ATTACHMENTS, "{}")) != attachment_digests(bag):
                 return Part(
                     name,
@@ -119,13 +128,26 @@ def differences_words(found: Sequence[Difference]) -> str:
     return f"differ: {'; '.join(words + more)}"
 
 
-def check_calibration_file(run: Path, entries: Sequence[Entry]) -> tuple[Part, Path | None]:
-    """Compare the calibration of a run with the file that its rig file named; return that as well if it is equal."""
+def sensors_of(entries: Sequence[Entry]) -> list[str]:
+    """Return the names of the sensors of a run that had several."""
+    return list(dict.fromkeys(name for entry in entries for name in entry.details.get(_FILES_OF_SENSORS, {})))
+
+
+def check_calibration_file(run: Path, entries: Sequence[Entry], sensor: str = "") -> tuple[Part, Path | None]:
+    """Compare the calibration of a run, or of one of its sensors, with the file that its rig file named.
+
+    Return that file as well if it is equal.
+    """
     part = CALIBRATION_OF_RUN
-    files = sorted(path for path in run.glob("calibration*.yaml") if path.is_file())
+    pattern = f"calibration.{sensor}.yaml" if sensor else "calibration*.yaml"
+    files = sorted(path for path in run.glob(pattern) if path.is_file())
     if not files:
         return Part(part, Result.NOTE, "the run has none; displacements are in pixels"), None
-    named = [entry.details["calibration_file"] for entry in entries if entry.details.get("calibration_file")]
+    given = [
+        entry.details.get(_FILES_OF_SENSORS, {}).get(sensor) if sensor else entry.details.get("calibration_file")
+        for entry in entries
+    ]
+    named = [file for file in given if file]
     if not named:
         return _given_geometry(files), None
     source = Path(named[-1])

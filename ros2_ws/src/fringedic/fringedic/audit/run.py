@@ -21,7 +21,7 @@ from fringedic.audit.parts import (
     check_signature,
     check_time_stamps,
 )
-from fringedic.audit.results import check_calibration, check_calibration_file, check_dataset, datasets_of
+from fringedic.audit.results import check_calibration, check_calibration_file, check_dataset, datasets_of, sensors_of
 from fringedic.errors import EvidenceError
 from fringedic.evidence.log import LOG, Entry, SignedLog, has_log, read_log
 from fringedic.recording.bag_files import BAG
@@ -142,8 +142,22 @@ def _results(
 def _calibration_of_run(
     run: Path, entries: tuple[Entry, ...], keys: Collection[bytes], recompute: bool, progress: Callable[[str], None]
 ) -> list[Part]:
-    """Check the calibration of a run, and the folder that it comes from, with its log and recording."""
-    part, file = check_calibration_file(run, entries)
+    """Check the calibration of a run, and the folder that it comes from, with its log and recording; of each sensor."""
+    parts = []
+    for sensor in sensors_of(entries) or [""]:
+        parts += _calibration_of_sensor(run, entries, sensor, keys, recompute, progress)
+    return parts
+
+
+def _calibration_of_sensor(
+    run: Path,
+    entries: tuple[Entry, ...],
+    sensor: str,
+    keys: Collection[bytes],
+    recompute: bool,
+    progress: Callable[[str], None],
+) -> list[Part]:
+    part, file = check_calibration_file(run, entries, sensor)
     if file is None:
         return [part]
     progress(f"calibration {file.parent}")

@@ -82,6 +82,8 @@ class StepReport:
         RMS of measured minus true u, v, w and z [µm]; empty without a ground truth.
     error
         Why the step failed, empty when it did not.
+    sensor
+        Name of the sensor, of a rig of several.
     """
 
     step: int
@@ -97,11 +99,12 @@ class StepReport:
     missing: int = 0
     errors: dict[str, float] = field(default_factory=dict)
     error: str = ""
+    sensor: str = ""
 
 
 @dataclass
 class RunReport:
-    """Outcome of a run: the folder with recording, dataset and pictures, and the steps.
+    """Outcome of a run: the folder with recording, dataset and pictures, and the steps; of one of several sensors.
 
     Attributes
     ----------
@@ -117,6 +120,8 @@ class RunReport:
         Why the programme ended before its last step; empty when it did not.
     interrupted
         Whether Ctrl-C or a signal ended it.
+    sensor
+        Name of the sensor, of a rig of several.
     """
 
     experiment: str
@@ -129,6 +134,7 @@ class RunReport:
     verdict: str = ""
     ended_early: str = ""
     interrupted: bool = False
+    sensor: str = ""
 
     @property
     def failed(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import xarray as xr
@@ -28,6 +28,9 @@ RUN = "run"
 """Action of the first entry of the log of a run that was signed at its end."""
 CALIBRATION_SOURCE = "calibration_file"
 """Detail of that entry: file of the calibration that the rig file named."""
+CALIBRATION_SOURCES = "calibration_files"
+"""The same of several sensors, by their names."""
+REPORT = "report.html"
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
 
@@ -38,6 +41,7 @@ def write_results(
     *,
     exact: Reconstruct | None = None,
     measure_again: bool = False,
+    sensor: str | None = None,
 ) -> RunReport:
     """Write dataset, pictures and report of a recording; add lost frames, force and errors to the steps.
 
@@ -49,24 +53,28 @@ def write_results(
     exact
         Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
         the errors of these heights are added as ``z_exact``.
+    sensor
+        Name of the sensor, of a rig of several; its pictures are in a folder of this name, as its ground truth is.
     """
-    bag = folder / "bag"
+    bag, name = folder / "bag", sensor or ""
     recorded = BagReader(bag)
-    if not recorded.find_optional("camera/exposure"):
-        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
+    if sensor in (None, *recorded.sensors):
+        recorded = BagReader(bag, sensor=sensor)
+    if sensor not in (None, *recorded.sensors) or not recorded.find_optional("camera/exposure"):
+        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed", sensor=name)
     target = file_of(folder / f"{RESULTS}.nc", recorded.sensor)
     losses = frame_losses(recorded)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
     try:
         if measure_again or not recorded.find_optional("phase/status"):
-            process_bag(bag, output=target, experiment=experiment, overwrite=True)
+            process_bag(bag, output=target, experiment=experiment, overwrite=True, sensor=sensor)
         else:
-            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
+            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True, sensor=sensor)
     except DatasetError as error:
-        return RunReport(experiment, folder, steps, [], unmeasured=str(error))
+        return RunReport(experiment, folder, steps, [], unmeasured=str(error), sensor=name)
     with open_experiment(target) as dataset:
-        pictures, errors, no_errors = _compare(dataset, folder, exact)
+        pictures, errors, no_errors = _compare(dataset, folder / name, exact)
         for report in steps:
             if report.step in dataset.step:
                 row = dataset.sel(step=report.step)
@@ -74,7 +82,8 @@ def write_results(
                 if measure_again:  # the nodes measured against another reference
                     report.rms_displacement = float(row.rms_displacement)
         verdict = confirmation_sentence(dataset)
-    write_report(target, folder / "report.html", overwrite=True)
+    page = folder / REPORT
+    write_report(target, page if sensor is None else file_of(page, sensor), overwrite=True)
     for report in steps:
         report.errors = errors.get(report.step, {})
     return RunReport(
@@ -85,34 +94,69 @@ def write_results(
         target.name,
         no_errors=no_errors,
         verdict=verdict,
+        sensor=name,
     )
 
 
-def sign_results(report: RunReport, *, operator: str = "", calibration: Path | None = None) -> str:
+def write_joined_results(folder: Path) -> tuple[Path, list[str]]:
+    """Write the joined surface of the sensors of a run, whose registration is in its folder, and its report.
+
+    Returns
+    -------
+    tuple
+        The dataset, and sentences about it.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        As of `join_recording`.
+    """
+    from fringedic.sensors import join_recording
+    from fringedic.sensors.files import REGISTRATION_FILE
+    from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
+
+    joined = join_recording(folder / "bag", folder / REGISTRATION_FILE, overwrite=True)
+    with open_experiment(joined) as dataset:
+        words = [overlap_sentence(dataset), *sensor_error_sentences(dataset)]
+    write_report(joined, folder / REPORT, overwrite=True)
+    return joined, list(filter(None, words))
+
+
+def sign_results(
+    report: RunReport, *others: RunReport, operator: str = "", calibration: Mapping[str, Path | None] | None = None
+) -> str:
     """Begin the log of a run that has ended, and sign it; that of a continued run gets an entry.
 
     Parameters
     ----------
-    report
-        The run.
+    report, others
+        The run, and its reports about other sensors.
     operator
         Name of the operator.
     calibration
-        File of the calibration that the rig file names.
+        File of the calibration of each sensor that the rig file names.
 
     Returns
     -------
     str
         Why the run is not signed, as a sentence; empty when it is.
     """
-    processed = ProcessingSettings(experiment=report.experiment)
+    reports = (report, *others)
+    files = {name: None if file is None else str(file.absolute()) for name, file in (calibration or {}).items()}
     details = {
         "ended_early": report.ended_early,
         "interrupted": report.interrupted,
-        "failed_steps": sum(bool(step.error) for step in report.steps),
-        DATASETS: {report.dataset: processed.as_details()} if report.dataset else {},
-        CALIBRATION_SOURCE: None if calibration is None else str(calibration.absolute()),
+        "failed_steps": sum(bool(step.error) for each in reports for step in each.steps),
+        DATASETS: {
+            each.dataset: ProcessingSettings(experiment=each.experiment, sensor=each.sensor or None).as_details()
+            for each in reports
+            if each.dataset
+        },
     }
+    if others:
+        details[CALIBRATION_SOURCES] = files
+    else:
+        details[CALIBRATION_SOURCE] = next(iter(files.values()), None)
     try:
         if has_log(report.folder):
             with noted(report.folder, RUN, details=details):  # within that of the command, which covers all files

@@ -42,6 +42,12 @@ class SensorPose:
         found: np.ndarray = Rotation.from_rotvec(self.rotation).as_matrix()
         return found
 
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Rotation as a quaternion (x, y, z, w)."""
+        x, y, z, w = Rotation.from_rotvec(self.rotation).as_quat().tolist()
+        return x, y, z, w
+
     def turn(self, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (3, ...) of the sensor's rig frame in the common frame."""
         turned: np.ndarray = np.tensordot(self.matrix, vectors, axes=1)

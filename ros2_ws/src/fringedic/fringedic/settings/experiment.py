@@ -181,7 +181,11 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
 
     experiment: str = Field("", description="Name of the first experiment; empty: the time of its start.")
     first_step: int = Field(
-        0, ge=0, le=2**31 - 1, description="Number of the first step, above 0 to resume an experiment of this name."
+        0,
+        ge=0,
+        le=2**31 - 1,
+        description="Number of the first step, above 0 to resume an experiment of this name. Increased while the node "
+        "runs: smallest number of the next step.",
     )
     reference_step: int = Field(
         -1, ge=-1, le=2**31 - 1, description="Earlier step that is still the reference; -1: the first that succeeds."
@@ -213,8 +217,21 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
         description="The projector is white after the frames of a step, also of one that fails, for a free run of the "
         "camera.",
     )
+    dark_between_steps: bool = Field(
+        False,
+        description="The projector is dark after the frames of a step, also of one that fails, so that its light does "
+        "not fall into the images of other sensors.",
+    )
     nodes: list[Literal["phase", "dic", "coupling"]] = Field(
         ["phase", "dic", "coupling"], description="Processing nodes whose results end a step."
+    )
+    common_frame: str = Field(
+        "", description="Frame in which the rig frame has a pose, such as that of another sensor; empty: none."
+    )
+    pose_in_common_frame: list[float] = Field(
+        [],
+        max_length=6,
+        description="Pose of the rig frame in it: its origin [m], then its rotation vector [rad]; x, y and z each.",
     )
     record_only: bool = Field(False, description="A step ends without results: frames are recorded and measured later.")
     later_parameters: Annotated[ProcessingSettings, OR_EMPTY] = Field(
@@ -266,6 +283,18 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings, RequiredSignals):
     @model_validator(mode="after")
     def _showable(self) -> Self:
         self.step_patterns()
+        return self
+
+    @model_validator(mode="after")
+    def _white_or_dark(self) -> Self:
+        if self.white_between_steps and self.dark_between_steps:
+            raise ValueError("white_between_steps and dark_between_steps exclude each other; set one of them to false")
+        return self
+
+    @model_validator(mode="after")
+    def _pose_has_a_frame(self) -> Self:
+        if len(self.pose_in_common_frame) != (6 if self.common_frame else 0):
+            raise ValueError("pose_in_common_frame has six numbers with common_frame, and none without it")
         return self
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from fringedic.frames.sensor import SensorName
 from fringedic.recording.writer import Split
 from fringedic.settings.base import Settings
 
@@ -38,6 +39,9 @@ class RecorderNodeSettings(RecorderSettings):
     """Settings of the recorder node."""
 
     bag_path: str = Field("", description="Folder of the recording, which must not exist; empty: nothing is recorded.")
+    sensors: list[SensorName] = Field(
+        [], description="Sensors of the rig, whose topics in the namespaces of these names are recorded, too."
+    )
     flush_interval_s: float = Field(
         0.5, gt=0, le=60, description="Messages received earlier than this survive a kill of the recorder [s]."
     )

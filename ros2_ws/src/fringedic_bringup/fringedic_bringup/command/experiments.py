@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,6 +30,7 @@ from fringedic.command.app import (
     losses,
     next_reading,
     parameter_values,
+    refuse_unused,
     say,
 )
 from fringedic.command.folders import output_folder, unused_folder
@@ -38,8 +39,14 @@ from fringedic.command.progress import LiveProgress
 from fringedic.command.run_table import report_table
 from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic.frames.sensor import file_of
 from fringedic.recording.bag_files import BAG
 from fringedic.wording.path_names import recording_names
+
+if TYPE_CHECKING:
+    from fringedic.configuration.programme import Programme
+    from fringedic.configuration.rig_file import RigFile
+    from fringedic.configuration.rig_sensors import RigSensors
 
 
 class Specimen(StrEnum):
@@ -55,6 +62,7 @@ class Specimen(StrEnum):
     epilog="Example: fringedic run plate.yaml --programme slow.yaml --output recordings/plate-7",
 )
 def run(
+    context: typer.Context,
     rig: Rig,
     programme: Annotated[Path | None, typer.Option(help="Load steps that replace those in the rig file.")] = None,
     output: Output = None,
@@ -65,18 +73,44 @@ def run(
     ] = False,
 ) -> None:
     """Run the load steps of a rig: start its nodes; move, hold and measure each step; record everything."""
+    from fringedic.configuration.rig_sensors import load_rig_sensors
     from fringedic_bringup.procedures.run import load_rig, run_experiment
 
     path = rig_path_of(rig)
+    sensors = load_rig_sensors(path, sensor)
+    if len(sensors.rigs) > 1:
+        refuse_unused(context, {"images", "resume"}, "is not possible for several sensors; leave it out")
+        _run_sensors(sensors, path, programme, output)
+        return
     rig_file, steps = load_rig(path, programme, images, sensor=sensor)
     if resume and output is None:
         raise ConfigurationError("--continue needs --output, the folder of the run to go on with")
-    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-    folder = output_folder(output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}")
+    folder = _folder(output, rig_file, steps)
     with LiveProgress(console) as progress:
         report = run_experiment(rig_file, path, steps, folder, progress, resume=resume)
     _tell(report)
     _check([report])
+
+
+def _run_sensors(sensors: RigSensors, path: Path, programme: Path | None, output: Path | None) -> None:
+    from fringedic_bringup.procedures.run_sensors import load_sensors, run_sensors
+
+    sensors, steps = load_sensors(sensors, path, programme)
+    folder = _folder(output, sensors.common, steps)
+    with LiveProgress(console) as progress:
+        outcome = run_sensors(sensors, path, steps, folder, progress)
+    for report in outcome.reports:
+        say(f"sensor {report.sensor}")
+        _tell(report)
+    if outcome.joined is not None:
+        say(f"joined surface: {outcome.joined}, report: {folder / 'report.html'}")
+    say(*outcome.words)
+    _check(outcome.reports)
+
+
+def _folder(output: Path | None, rig: RigFile, programme: Programme) -> Path:
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    return output_folder(output or Path(rig.recording.folder) / f"{programme.experiment}-{stamp}")
 
 
 @app.command(rich_help_panel=MEASURE, epilog="Example: fringedic demo --output demo plate leather")
@@ -164,7 +198,8 @@ def _tell(report: RunReport) -> None:
         say(f"{report.folder}: recording (bag), no dataset: {report.unmeasured}")
         say(f"'fringedic verify {report.folder / BAG}' checks the recording")
         return
-    say(f"{report.folder}: report.html, recording (bag), dataset ({report.dataset}), {len(report.pictures)} pictures")
+    page = file_of(Path("report.html"), report.sensor) if report.sensor else "report.html"
+    say(f"{report.folder}: {page}, recording (bag), dataset ({report.dataset}), {len(report.pictures)} pictures")
     if report.verdict:
         say(report.verdict)
     if report.pictures:
@@ -186,9 +221,10 @@ def _check(reports: list[RunReport]) -> None:
     """
     for report in reports:
         if report.interrupted:
-            say(f"{_measured(report)}; to go on, repeat the command with --output {report.folder} --continue")
+            on = "" if report.sensor else f"; to go on, repeat the command with --output {report.folder} --continue"
+            say(f"{_measured(report)}{on}")
             raise typer.Exit(130)
-    failed = [report.experiment for report in reports if report.failed]
+    failed = [" ".join(filter(None, (each.experiment, each.sensor))) for each in reports if each.failed]
     if failed:
         raise StepFailedError(f"steps failed, or frames or results are missing, in: {', '.join(failed)}")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 from pydantic import BaseModel
@@ -30,10 +30,16 @@ from fringedic.settings.signals import InstrumentSignal, SignalsNodeSettings
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
+from fringedic_ros.rig_node import FRAME_PREFIX, RIG_FRAME
+
+if TYPE_CHECKING:  # a rig of one sensor does not load it
+    from fringedic.sensors.registration import Registration
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 COMPOSED = "processing"  # the process, and the executable, of all processing nodes together
 _FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
+SHARED = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states", "load_frame/hold", "signals")
+"""What the nodes of several sensors use of their rig."""
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
 
 
@@ -43,12 +49,16 @@ class NodeEntry:
 
     Attributes
     ----------
+    name
+        Relative to the namespace of the graph; that of a node of one of several sensors begins with the sensor's name.
     process
         Name of the process that it shares with other nodes; empty: it has its own.
     changes_at_restart
         Parameters that differ when the node is started again after it has ended.
     defaults
         Values of the parameters that are not given.
+    remappings
+        Names that the node uses, and the full names that it finds there.
     """
 
     name: str
@@ -58,10 +68,22 @@ class NodeEntry:
     changes_at_restart: Mapping[str, Any] = field(default_factory=dict)
     defaults: Mapping[str, Any] = field(default_factory=dict)
     process: str = ""
+    remappings: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def own_name(self) -> str:
+        """Name without that of the sensor."""
+        return self.name.rpartition("/")[2]
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor among several; empty for a node of the whole rig."""
+        return self.name.rpartition("/")[0]
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
         file = folder / f"{self.name}.yaml"
+        file.parent.mkdir(exist_ok=True)
         nodes = f"/**/{self.name}" if self.process else "/**"  # the process reads the files of all its nodes
         file.write_text(yaml.safe_dump({nodes: {"ros__parameters": {**self.parameters, **others}}}))
         return file
@@ -103,18 +125,31 @@ class Graph:
         return [node.name for node in self.nodes]
 
     @property
+    def sensors(self) -> list[str]:
+        """Names of several sensors, in the order of their measurement; empty for a rig of one."""
+        return list(dict.fromkeys(node.sensor for node in self.nodes if node.sensor))
+
+    @property
     def processes(self) -> dict[str, tuple[NodeEntry, ...]]:
         """Nodes of each process, by the name of the process, in the order of their start."""
         names = dict.fromkeys(node.process or node.name for node in self.nodes)
         return {name: tuple(node for node in self.nodes if name in (node.process, node.name)) for name in names}
 
 
-def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
+def rig_graph(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    *,
+    experiment: str = "",
+    others: Sequence[RigFile] = (),
+    registration: Registration | None = None,
+) -> Graph:
     """Return the nodes of a rig that records one run into a folder.
 
     The calibration of the rig file is written into the folder as ``calibration.yaml``, with the name of a sensor that
     has one (``calibration.left.yaml``). The nodes write the recording ``bag`` and, on a virtual rig, the ground truth
-    ``truth.nc``.
+    ``truth.nc``, that of one of several sensors in a folder of its name.
 
     Parameters
     ----------
@@ -124,6 +159,11 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         Created when it does not exist.
     experiment
         Name of the experiment; empty: the time of its start.
+    others
+        The rig file for the other sensors, if there are several: load frame, signals and recorder are common, and all
+        other nodes are in the namespace of their sensor.
+    registration
+        Poses of the sensors, for the tree of frames.
 
     Raises
     ------
@@ -131,30 +171,73 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         The calibration file cannot be read or belongs to another rig, the coarsest fringes repeat in the view, or the
         region was drawn in an image of another size.
     """
-    calibration = fitting_calibration(rig, rig_path)
+    sensors = (rig, *others)
+    calibrations = [fitting_calibration(each, rig_path) for each in sensors]
     folder.mkdir(parents=True, exist_ok=True)
-    calibration_file = "" if calibration is None else str(file_of(folder / CALIBRATION_FILE, rig.sensor).absolute())
+    files = [file_of(folder / CALIBRATION_FILE, each.sensor).absolute() for each in sensors]
+    nodes = [_recorder(rig, folder, [each.sensor for each in sensors] if others else [])]
+    first, *rest = (
+        _sensor_nodes(
+            each,
+            folder / each.sensor if others else folder,
+            "" if calibration is None else str(file),
+            experiment=experiment,
+            **_beside_others(each, sensors, registration) if others else {},
+        )
+        for each, calibration, file in zip(sensors, calibrations, files, strict=True)
+    )
+    common = _common_nodes(rig)
+    if others:
+        in_tree = {FRAME_PREFIX: _prefix(rig)}  # so that the frame of the force is in the tree
+        nodes += [replace(node, parameters={**node.parameters, **in_tree}) for node in common]
+        for each, own in zip(sensors, (first, *rest), strict=True):
+            nodes += _of_sensor(each, [*own.processing, *own.measuring])
+        graph = _with_common(rig.namespace, nodes, SENSOR, {})
+    else:
+        graph = _graph(rig, [*nodes, *first.processing, *common, *first.measuring])
+    for calibration, file in zip(calibrations, files, strict=True):
+        if calibration is not None:
+            calibration.to_yaml(file)  # when nothing can fail any more: it may replace that of an earlier run
+    return graph
+
+
+def _beside_others(rig: RigFile, sensors: Sequence[RigFile], registration: Registration | None) -> dict[str, Any]:
+    """Return the settings of the experiment node of one of several sensors."""
+    settings: dict[str, Any] = {"dark_between_steps": True}
+    if registration is not None and rig.sensor in registration.placed:
+        (reference,) = (each for each in sensors if each.sensor == registration.reference)
+        pose = registration.poses[rig.sensor]
+        settings["common_frame"] = "/".join(filter(None, (_prefix(reference), RIG_FRAME)))
+        settings["pose_in_common_frame"] = [*pose.translation, *pose.rotation]
+    return settings
+
+
+def _prefix(rig: RigFile) -> str:
+    """Return the prefix of the frames of a rig."""
+    return rig.topic_namespace if rig.frame_prefix is None else rig.frame_prefix
+
+
+class _SensorNodes(NamedTuple):
+    """Nodes of one sensor, in the order of their start."""
+
+    processing: list[NodeEntry]
+    measuring: list[NodeEntry]
+
+
+def _sensor_nodes(rig: RigFile, folder: Path, calibration_file: str, **others: Any) -> _SensorNodes:
+    """Return the nodes of one sensor; `folder` is that of its truth and calibrations."""
     region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
     processing = ProcessingSettings(
         phase=_phase(rig).model_copy(update=region),
         dic=rig.nodes.dic.model_copy(update=region),
         coupling=rig.nodes.coupling,
     )
-    nodes = [_recorder(rig, folder)]
+    processing_nodes: list[NodeEntry] = []
     if rig.recording.process:
         entries = (_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items())
-        nodes += _processing_nodes(entries, composed=rig.nodes.composed)
-    if isinstance(rig.load_frame, MachineSettings):
-        # the machine, which may be moving, is requested to hold as soon as it answers
-        machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
-        nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
-    if rig.signals:
-        nodes.append(_node("signals", "load_frame_node", SignalsNodeSettings(signals=_declared(rig))))
-    if rig.extensometer is not None:
-        nodes.append(_extensometer(rig.extensometer))
+        processing_nodes = _processing_nodes(entries, composed=rig.nodes.composed)
     experiment_node = _experiment(
         rig,
-        experiment=experiment,
         load_frame=rig.load_frame is not None,
         white_between_steps=rig.extensometer is not None,
         metadata=rig.metadata(),
@@ -163,14 +246,40 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         record_only=not rig.recording.process,
         required_signals=_required(rig),
         later_parameters=ProcessingSettings() if rig.recording.process else processing,
+        **others,
     )
-    nodes += [
-        *_hardware(rig, **_truth(rig, folder), **_free_run(rig)),
-        experiment_node,
+    return _SensorNodes(processing_nodes, [*_hardware(rig, **_truth(rig, folder), **_free_run(rig)), experiment_node])
+
+
+def _common_nodes(rig: RigFile) -> list[NodeEntry]:
+    """Return load frame, signals and extensometer of a rig."""
+    nodes = []
+    if isinstance(rig.load_frame, MachineSettings):
+        # the machine, which may be moving, is requested to hold as soon as it answers
+        machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
+        nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
+    if rig.signals:
+        nodes.append(_node("signals", "load_frame_node", SignalsNodeSettings(signals=_declared(rig))))
+    if rig.extensometer is not None:
+        nodes.append(_extensometer(rig.extensometer))
+    return nodes
+
+
+def _of_sensor(rig: RigFile, nodes: Sequence[NodeEntry]) -> list[NodeEntry]:
+    """Return nodes of one of several sensors: in the namespace of its name, with load frame and signals of the rig."""
+    place = f"/{rig.namespace}" if rig.namespace else ""
+    remappings = {name: f"{place}/{name}" for name in SHARED}
+    prefix = {} if rig.frame_prefix is None else {FRAME_PREFIX: rig.frame_prefix}
+    return [
+        replace(
+            node,
+            name=f"{rig.sensor}/{node.name}",
+            process=node.process and f"{rig.sensor}/{node.process}",
+            parameters={**node.parameters, "sensor": rig.sensor, **prefix},
+            remappings=remappings,
+        )
+        for node in nodes
     ]
-    if calibration is not None:
-        calibration.to_yaml(calibration_file)  # when nothing can fail any more: it may replace that of an earlier run
-    return _graph(rig, nodes)
 
 
 def calibration_graph(rig: RigFile, folder: Path) -> Graph:
@@ -300,7 +409,7 @@ def replay_graph(
 
 def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
     """Return nodes in the namespace of a rig, with its frame prefix and the name of its sensor."""
-    common = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
+    common = {} if rig.frame_prefix is None else {FRAME_PREFIX: rig.frame_prefix}
     return _with_common(rig.topic_namespace, nodes, rig.sensor, common)
 
 
@@ -316,9 +425,10 @@ def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEnt
     return NodeEntry(name, package, name, to_parameters(settings), again, default_parameters(settings))
 
 
-def _recorder(rig: RigFile, folder: Path) -> NodeEntry:
+def _recorder(rig: RigFile, folder: Path, sensors: Sequence[str] = ()) -> NodeEntry:
     shared = rig.recording.model_dump(include=set(RecorderSettings.model_fields))
-    return _node("recorder", "recorder_node", RecorderNodeSettings(bag_path=str((folder / "bag").absolute()), **shared))
+    settings = RecorderNodeSettings(bag_path=str((folder / "bag").absolute()), sensors=list(sensors), **shared)
+    return _node("recorder", "recorder_node", settings)
 
 
 def _processing_nodes(nodes: Iterable[NodeEntry], *, composed: bool) -> list[NodeEntry]:

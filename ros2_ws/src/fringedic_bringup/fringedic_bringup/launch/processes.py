@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -78,7 +78,7 @@ class RunningGraph:
 
     def __enter__(self) -> RunningGraph:
         executables = {name: _executable(entries[0]) for name, entries in self.graph.processes.items()}
-        if not PROCESSING_NODES.keys().isdisjoint(self.graph.names):
+        if not PROCESSING_NODES.keys().isdisjoint(node.own_name for node in self.graph.nodes):
             require_kernels(lambda words: sys.stderr.write(f"{words}\n"))  # before a node is waited for
         if self._owner:
             self._lease.__enter__()
@@ -137,8 +137,8 @@ class RunningGraph:
             if code is not None and not (code == 0 and name in self._may_end)
         }
 
-    def check(self) -> None:
-        """Raise an error when a node has ended that should run.
+    def check(self, names: Collection[str] | None = None) -> None:
+        """Raise an error when a node has ended that should run: one of the named nodes, or any.
 
         Raises
         ------
@@ -146,6 +146,8 @@ class RunningGraph:
             The message contains the end of the node's log.
         """
         for name, how in self.dead().items():
+            if names is not None and name not in names:
+                continue
             raise NodeDiedError(f"{name} {how}. The end of {self.log(name)}:\n{self.log_tail(name)}")
 
     def log_tail(self, name: str, lines: int = 20) -> str:
@@ -213,9 +215,11 @@ class RunningGraph:
         for entry in entries:
             arguments += ["--params-file", str(entry.write_parameters(self.logs))]
         if name == entries[0].name:  # the nodes of a shared process have their own names
-            arguments += ["-r", f"__node:={name}"]
-        if self.graph.namespace:
-            arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
+            arguments += ["-r", f"__node:={entries[0].own_name}"]
+        if namespace := "/".join(filter(None, (self.graph.namespace, entries[0].sensor))):
+            arguments += ["-r", f"__ns:=/{namespace}"]
+        for used, found in entries[0].remappings.items():
+            arguments += ["-r", f"{used}:={found}"]
         process = self._process([str(executable), *arguments], self.log(entries[0].name))
         self._processes |= {entry.name: process for entry in entries}
 

@@ -16,6 +16,7 @@ from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.topics import DERIVED_TOPICS, RAW_TOPICS
 
+RECORDER = "recorder"
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 
 
@@ -30,9 +31,18 @@ class Readiness:
         Action clients by the name of their action, for each node that serves them.
     place
         Client of the service that places the reference plane.
+    recorder
+        Name of the recorder node, relative to the namespace of the client or with its own.
     """
 
-    def __init__(self, node: Node, actions: Mapping[str, Mapping[str, ActionClient]], place: Client) -> None:
+    def __init__(
+        self,
+        node: Node,
+        actions: Mapping[str, Mapping[str, ActionClient]],
+        place: Client,
+        recorder: str = RECORDER,
+    ) -> None:
+        self._recorder_name = recorder
         self._node = node
         self._actions = actions
         self._place = place
@@ -64,7 +74,7 @@ class Readiness:
             absent += [f"action {name}" for name, client in self._actions[node].items() if not client.server_is_ready()]
         if "stage" in expected and not self._place.service_is_ready():
             absent.append("service reference_plane/place")
-        if "recorder" in expected:
+        if self._recorder_name in expected:
             absent += self._unrecorded()
         return absent
 
@@ -79,7 +89,7 @@ class Readiness:
         since_ns
             When each was started, by its name, on this computer's clock [ns]; it publishes its parameters later.
         """
-        if "recorder" in since_ns:
+        if self._recorder_name in since_ns:
             self._recorder = None  # the latest status is that of the recorder that has ended
 
         def missing() -> set[str]:

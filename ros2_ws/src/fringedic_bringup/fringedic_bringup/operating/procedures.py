@@ -295,7 +295,7 @@ def _by_hand(place: Place, job: Job, _: Request, options: TestOptions) -> Outcom
         report = write_results("by_hand", folder, [])
         unmeasured = report.unmeasured
         problems += filter(
-            None, [sign_results(report, operator=rig.specimen.operator, calibration=rig.calibration_file)]
+            None, [sign_results(report, operator=rig.specimen.operator, calibration={rig.sensor: rig.calibration_file})]
         )
     except FringedicError as error:
         unmeasured = f"no dataset: {error}"

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,10 +39,12 @@ from fringedic.recording.bag_files import BAG
 from fringedic.signals import FORCE
 from fringedic.wording.causes import cause_of
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
+from fringedic_bringup.launch.graph import Graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
 from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import next_part
+from fringedic_bringup.sensors_client import SensorsClient, nodes_to_watch
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, StepStatus
 from fringedic_ros.qos import LATCHED
@@ -121,12 +124,12 @@ def drive(
     """
     control, faults = control or RunControl(), _FaultWatch()
 
-    def watch() -> None:
-        running.check()
+    def watch(sensor: str | None = None) -> None:
+        running.check(nodes_to_watch(running.graph.names, sensor))
         control.check()
         faults.check()
 
-    with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
+    with _client(running.graph, domain, watch) as rig:
         record = _EndRecord(rig, programme.experiment)
         conditions = programme.conditions()
         needs_strain = any(until.needs_strain for until in conditions)
@@ -162,6 +165,13 @@ def drive(
             record.publish(driver.number, ended_early)
     again = driver.interrupted or (before is not None and bool(before.measured))
     return Driven(driver.reports, again, ended_early, interrupted)
+
+
+def _client(graph: Graph, domain: int | None, watch: Callable[[str | None], None]) -> RigClient:
+    """Return the client of a rig, or that of a rig of several sensors."""
+    if sensors := graph.sensors:
+        return SensorsClient(graph.namespace, sensors, domain=domain, watch=watch, name="programme")
+    return RigClient(graph.namespace, domain=domain, watch=lambda: watch(None), name="programme")
 
 
 def _reason(error: FringedicError | OSError, folder: Path) -> str:
@@ -256,6 +266,7 @@ class _Driver:
         self.number, self._last, self._needs_strain = 0, last, needs_strain
         self.interrupted = False
         self._begun = False  # the programme has begun its first step
+        self._between_steps = False  # no step is under way that is repeated
         self._restarted = False  # a node was started again since the last successful step
         self._is_new_reference = False  # the step under way sets the reference, and the zero of the strain
         self._stop: MoveStoppedError | None = None  # of a move that ended while a node was being started again
@@ -291,10 +302,18 @@ class _Driver:
         self.number = self._rig.last_step + 1  # the number that the step gets in the recording
         self._is_new_reference = step.set_reference
         self._last = max(self._last, self.number)
+        if isinstance(self._rig, SensorsClient):
+            self._mend()
         if not self._control.may_begin():
             self._tell("paused")
             self._with_restarts(lambda: self._rig.wait_for(self._control.may_begin, PAUSE_S, lambda: "resume"))
         return self._with_restarts(lambda: self._move_and_measure(step))
+
+    def _mend(self) -> None:
+        """Start the nodes again that have ended during the last step, which the other sensors have measured."""
+        self._between_steps = True
+        self._with_restarts(self._running.check)
+        self._between_steps = False
 
     def finish(self) -> None:
         """Wait until everything is recorded."""
@@ -332,7 +351,7 @@ class _Driver:
                 self._progress.note(f"step {self.number} is repeated")
                 return self._move_and_measure(step)
             begun = step.mode != "none" and self._rig.last_step >= self.number
-            self._report(StepReport(self._rig.last_step if begun else -1, error=str(error)))
+            self._report_failure(self._rig.last_step if begun else -1, str(error))
             return None
         if moved:
             self._progress.note(moved)
@@ -371,13 +390,34 @@ class _Driver:
         self._deaths.clear()
         replaced = self.has_reference and not step.set_reference and result.step == self._rig.reference
         self.has_reference = True
-        self._report(_report(step, result))
+        if isinstance(self._rig, SensorsClient):
+            self._report_sensors(step, self._rig.results)
+        else:
+            self._report(_report(step, result))
         if replaced:  # by the experiment node
             self.interrupted = True
             self._require_zero_of_strain(f"step {result.step} became the reference")
         of_step = self._rig.reading_of_step
         signals = {**of_step.signals, FORCE.name: result.force_mean}
         return of_step._replace(signals=signals, valid_fraction=result.valid_fraction)
+
+    def _report_sensors(self, step: ProgrammeStep, results: Mapping[str, MeasureStep.Result | str]) -> None:
+        """Report what each sensor has measured, and why it has not."""
+        for sensor, result in results.items():
+            if isinstance(result, str):
+                self._progress.note(f"step {self.number}, sensor {sensor}: {result}")
+                self._report(StepReport(self.number, error=result, sensor=sensor))
+            else:
+                self._report(replace(_report(step, result), sensor=sensor))
+
+    def _report_failure(self, number: int, error: str) -> None:
+        """Report a step that failed, for all sensors."""
+        if not isinstance(self._rig, SensorsClient):
+            self._report(StepReport(number, error=error))
+            return
+        for sensor in self._running.graph.sensors:
+            reason = self._rig.results.get(sensor, error) if number >= 0 else error
+            self._report(StepReport(number, error=str(reason), sensor=sensor))
 
     def _report(self, report: StepReport) -> None:
         self.reports.append(report)
@@ -492,13 +532,15 @@ class _Driver:
                 self._awaited.clear()
                 self._restarted = True
                 self._progress.note(f"{_in_words(names)} ready again after {time.monotonic() - begin:.0f} s")
-                without_reference = names.intersection(WITH_REFERENCE)
+                without_reference = {name for name in names if own_name(name) in WITH_REFERENCE}
                 if EXTENSOMETER in names and self._begun:
                     self._require_zero_of_strain("the extensometer was started again")
-                if without_reference and self._rig.reference >= 0:
+                without_reference = {name for name in without_reference if self._rig.of_node(name).reference >= 0}
+                if without_reference:
                     if self.has_reference and not self._is_new_reference:
                         self._require_zero_of_strain(f"{_in_words(without_reference)} lost the reference")
-                    self._set_reference()
+                    for client in dict.fromkeys(map(self._rig.of_node, sorted(without_reference))):
+                        self._set_reference(client)
                     self._progress.note(
                         f"{_in_words(without_reference)} lost the reference: until the end of the programme, or the "
                         "next reference in it, displacements count from the next step; afterwards all steps are "
@@ -526,12 +568,12 @@ class _Driver:
                 "too late; unload, and start a new run"
             )
 
-    def _set_reference(self) -> None:
+    def _set_reference(self, client: RigClient) -> None:
         """Make the next step the reference, after the end of a step of another controller."""
         waits_for = ""
         while True:
             try:
-                return self._rig.set_reference(previous_lost=True)
+                return client.set_reference(previous_lost=True)
             except StepFailedError as refusal:
                 if str(refusal) != waits_for:
                     self._progress.note(f"the programme waits: {refusal}")
@@ -556,7 +598,7 @@ class _Driver:
         self._awaited |= dict.fromkeys(dead, time.time_ns())
         for name, how in dead.items():
             self._running.restart(name, **self._changes(name))
-            repeated = f", and step {self.number} is repeated" if self._begun else ""
+            repeated = f", and step {self.number} is repeated" if self._begun and not self._between_steps else ""
             self._progress.note(f"{name} {how} (see {self._running.log(name)}); it is started again{repeated}")
         if self._begun:
             self.interrupt()
@@ -575,18 +617,26 @@ class _Driver:
             return {"bag_path": str(next_part(Path(entry.parameters["bag_path"]).with_name(BAG)))}
         if not self._begun:
             return {}  # it begins
-        if name == "experiment":
+        own = own_name(name)
+        if own == "experiment" and own != name:  # the number of the next step of the other sensors
+            return {"first_step": self._rig.last_step + 1, "reference_step": self._rig.of_node(name).reference}
+        if own == "experiment":
             # the interrupted step has a number already, which may not have been published
             number = max(self._rig.highest_step(entry.parameters["experiment"]), self._rig.last_step + 1)
             return {"first_step": number + 1, "reference_step": self._rig.reference}
-        if name == "camera" and entry.parameters.get("files"):
+        if own == "camera" and entry.parameters.get("files"):
             raise StepFailedError(
-                f"the camera ended (see {self._running.log(name)}) and would read its files from the first image "
+                f"the {name} ended (see {self._running.log(name)}) and would read its files from the first image "
                 "again; start a new run"
             )
-        if name == "camera" and entry.parameters.get("truth_folder"):
+        if own == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}
+
+
+def own_name(node: str) -> str:
+    """Return the name of a node without that of its sensor."""
+    return node.rpartition("/")[2]
 
 
 def _in_words(names: Iterable[str]) -> str:

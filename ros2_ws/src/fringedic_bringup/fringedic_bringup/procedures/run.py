@@ -159,10 +159,16 @@ def run_experiment(
         join_parts(bag, progress, rig.recording.split)
         progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
         report = write_results(
-            programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
+            programme.experiment,
+            folder,
+            driven.steps,
+            exact=exact_reconstruction(rig),
+            measure_again=driven.measure_again,
         )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
-        if problem := sign_results(report, operator=rig.specimen.operator, calibration=rig.calibration_file):
+        if problem := sign_results(
+            report, operator=rig.specimen.operator, calibration={rig.sensor: rig.calibration_file}
+        ):
             progress.note(problem)
         return report
 
@@ -172,7 +178,7 @@ def _announce(expected: Forecast, programme: Programme, folder: Path, progress: 
     expected.check_disk(folder)
 
 
-def _exact(rig: RigFile) -> Reconstruct | None:
+def exact_reconstruction(rig: RigFile) -> Reconstruct | None:
     """Return a reconstruction with the exact calibration of a virtual rig; None when the run uses that one anyway."""
     if rig.virtual_rig is None or rig.calibration in (None, VIRTUAL_RIG):
         return None
