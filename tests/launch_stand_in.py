@@ -71,6 +71,7 @@ class Node:
     executable: str
     name: str
     namespace: str
+    remappings: list[tuple[str, str]]
     parameters: list[str]
     ros_arguments: list[str]
     additional_env: Mapping[str, str]
@@ -85,6 +86,7 @@ class Node:
         """Start the process in a ROS domain, with its output in a file."""
         executable = Path(get_package_prefix(self.package), "lib", self.package, self.executable)
         rules = ["-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
+        rules += [word for used, found in self.remappings for word in ("-r", f"{used}:={found}")]
         files = [word for file in self.parameters for word in ("--params-file", file)]
         command = [*shlex.split(self.prefix), str(executable), "--ros-args", *self.ros_arguments, *rules, *files]
         environment = {**os.environ, **self.additional_env, "ROS_DOMAIN_ID": domain}

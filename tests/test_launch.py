@@ -75,6 +75,15 @@ def test_arguments_reach_the_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert parameters(nodes[0])["bag_path"] == str(tmp_path / "run" / "bag")
 
 
+def test_nodes_of_several_sensors_are_in_their_namespaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = str(CONFIG / "two_sensors.yaml")
+    nodes = launched(monkeypatch, rig=rig, folder=str(tmp_path / "run"), nodes="load_frame,right/camera")
+    assert [(node.namespace, node.name) for node in nodes] == [("rig", "load_frame"), ("rig/right", "camera")]
+    assert nodes[0].remappings == []
+    assert ("load_frame/state", "/rig/load_frame/state") in nodes[1].remappings
+    assert parameters(nodes[1])["sensor"] == "right"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

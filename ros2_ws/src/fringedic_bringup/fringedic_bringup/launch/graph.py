@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from fringedic.command.outcome import CALIBRATION_FILE
 from fringedic.configuration.rig_file import RigFile, fitting_calibration
+from fringedic.configuration.rig_sensors import RigSensors
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
@@ -199,6 +200,21 @@ def rig_graph(
         if calibration is not None:
             calibration.to_yaml(file)  # when nothing can fail any more: it may replace that of an earlier run
     return graph
+
+
+def registration_of(sensors: RigSensors) -> Registration | None:
+    """Return the poses of the sensors of a rig file; None when they are not registered.
+
+    Raises
+    ------
+    CalibrationError
+        The file of the registration cannot be used, or is that of other sensors or calibrations.
+    """
+    if sensors.registration is None:
+        return None
+    from fringedic.sensors.registered import registration_for  # a rig of one sensor does not load it
+
+    return registration_for(sensors.registration, {rig.sensor: rig.rig_model for rig in sensors.rigs})
 
 
 def _beside_others(rig: RigFile, sensors: Sequence[RigFile], registration: Registration | None) -> dict[str, Any]:

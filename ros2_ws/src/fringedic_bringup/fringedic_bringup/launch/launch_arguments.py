@@ -13,10 +13,11 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.configuration.installed_rigs import rig_path_of
-from fringedic.configuration.rig_file import NAMESPACE, load_rig_file
+from fringedic.configuration.rig_file import NAMESPACE
+from fringedic.configuration.rig_sensors import load_rig_sensors
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.launch.environment import domain_of, node_environment
-from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.launch.graph import Graph, NodeEntry, registration_of, rig_graph
 from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, require_no_nodes
 
 # A new recorder needs a new folder, and a new experiment node the number of the next step: only a client knows them.
@@ -88,7 +89,17 @@ class LaunchedProcess:
     @property
     def node_name(self) -> str | None:
         """Name of its only node; None when the nodes of a shared process have their own names."""
-        return None if self.nodes[0].process else self.nodes[0].name
+        return None if self.nodes[0].process else self.nodes[0].own_name
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor of several whose nodes these are, which is a namespace; empty for those of the rig."""
+        return self.nodes[0].sensor
+
+    @property
+    def remappings(self) -> list[tuple[str, str]]:
+        """Names that its nodes use, and the full names that they find there."""
+        return list(self.nodes[0].remappings.items())
 
 
 @dataclass(frozen=True)
@@ -126,16 +137,22 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
         A node runs already.
     """
     path = rig_path_of(Path(arguments.rig)).absolute()
-    rig = load_rig_file(path)
+    sensors = load_rig_sensors(path)
     if arguments.namespace:
-        rig = rig.model_copy(update={"namespace": arguments.namespace})
+        sensors = sensors.changed(lambda rig: rig.model_copy(update={"namespace": arguments.namespace}))
     if arguments.composed:
-        rig = rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"composed": True})})
+        sensors = sensors.changed(
+            lambda rig: rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"composed": True})})
+        )
+    rig, *others = sensors.rigs
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     folder = Path(arguments.folder or Path(rig.recording.folder) / f"{path.stem}-{stamp}").absolute()
     if (folder / "bag").exists():
         raise ConfigurationError(f"{folder} contains a recording already; choose another folder:=")
-    graph = _on_this_computer(rig_graph(rig, path, folder, experiment=arguments.experiment), arguments.nodes)
+    graph = rig_graph(
+        rig, path, folder, experiment=arguments.experiment, others=others, registration=registration_of(sensors)
+    )
+    graph = _on_this_computer(graph, arguments.nodes)
     environment = node_environment()
     require_no_nodes(domain_of(environment), graph)
     logs = folder / "logs"
@@ -145,7 +162,7 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
         LaunchedProcess(
             nodes,
             tuple(node.write_parameters(logs, **clock) for node in nodes),
-            respawn=arguments.respawn and name not in NOT_RESPAWNED,
+            respawn=arguments.respawn and nodes[0].own_name not in NOT_RESPAWNED,
             grace_s=RECORDER_GRACE_S if name == "recorder" else GRACE_S,
         )
         for name, nodes in graph.processes.items()

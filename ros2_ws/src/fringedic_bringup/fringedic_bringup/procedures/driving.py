@@ -78,12 +78,15 @@ class Driven(NamedTuple):
         Why the programme ended before its last step; empty when it did not.
     interrupted
         Whether Ctrl-C or a signal ended it.
+    sensors_again
+        Of several sensors, those whose steps are to be measured again.
     """
 
     steps: list[StepReport]
     measure_again: bool
     ended_early: str = ""
     interrupted: bool = False
+    sensors_again: frozenset[str] = frozenset()
 
 
 def drive(
@@ -164,7 +167,7 @@ def drive(
             progress.note(f"interrupted: {held}; the results of what was measured are written")
             record.publish(driver.number, ended_early)
     again = driver.interrupted or (before is not None and bool(before.measured))
-    return Driven(driver.reports, again, ended_early, interrupted)
+    return Driven(driver.reports, again, ended_early, interrupted, frozenset(driver.sensors_again))
 
 
 def _client(graph: Graph, domain: int | None, watch: Callable[[str | None], None]) -> RigClient:
@@ -265,6 +268,7 @@ class _Driver:
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
         self.number, self._last, self._needs_strain = 0, last, needs_strain
         self.interrupted = False
+        self.sensors_again: set[str] = set()  # whose nodes have ended
         self._begun = False  # the programme has begun its first step
         self._between_steps = False  # no step is under way that is repeated
         self._restarted = False  # a node was started again since the last successful step
@@ -295,6 +299,7 @@ class _Driver:
                     raise
                 self._restart(death)
                 self.interrupted = False  # nothing was measured yet
+                self.sensors_again.clear()
 
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
@@ -396,6 +401,7 @@ class _Driver:
             self._report(_report(step, result))
         if replaced:  # by the experiment node
             self.interrupted = True
+            self.sensors_again |= set(self._running.graph.sensors)
             self._require_zero_of_strain(f"step {result.step} became the reference")
         of_step = self._rig.reading_of_step
         signals = {**of_step.signals, FORCE.name: result.force_mean}
@@ -592,6 +598,8 @@ class _Driver:
     def _start_again(self, death: NodeDiedError) -> None:
         """Request a hold and start the nodes that have ended again."""
         dead, self.interrupted = self._running.dead(), True
+        sensors = {name.rpartition("/")[0] for name in dead}
+        self.sensors_again |= set(self._running.graph.sensors) if "" in sensors else sensors
         self._deaths.update(dead.keys())
         if any(self._deaths[name] > MOST_DEATHS for name in dead):
             raise death

@@ -17,10 +17,9 @@ from fringedic.configuration.programme_check import check_programme
 from fringedic.configuration.rig_sensors import RigSensors
 from fringedic.configuration.sentences import forecast_sentence
 from fringedic.errors import ConfigurationError, FringedicError
-from fringedic.sensors.files import REGISTRATION_FILE, load_registration
-from fringedic.sensors.registered import registration_for
+from fringedic.sensors.files import REGISTRATION_FILE
 from fringedic.settings.camera import FilesCamera
-from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.graph import registration_of, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import folder_of_one_command
 from fringedic_bringup.procedures.driving import Driven, drive
@@ -68,8 +67,7 @@ def load_sensors(sensors: RigSensors, rig_path: Path, programme_path: Path | Non
         raise ConfigurationError(
             f"{rig_path}: images of several sensors are processed one sensor at a time: use --sensor"
         )
-    if sensors.registration is not None:
-        registration_for(sensors.registration, {rig.sensor: rig.rig_model for rig in sensors.rigs})
+    registration_of(sensors)
     return sensors.changed(lambda rig: rig.model_copy(update={"specimen": first.specimen})), programme
 
 
@@ -110,7 +108,7 @@ def run_sensors(
     progress.note(f"{programme.experiment}: {', '.join(sensors.names)}: {forecast_sentence(expected)}")
     expected.check_disk(folder)
     common, *others = sensors.rigs
-    registration = None if sensors.registration is None else load_registration(sensors.registration)
+    registration = registration_of(sensors)
     with folder_of_one_command(folder):
         graph = rig_graph(
             common, rig_path, folder, experiment=programme.experiment, others=others, registration=registration
@@ -139,7 +137,7 @@ def _results(sensors: RigSensors, experiment: str, folder: Path, driven: Driven,
             folder,
             [step for step in driven.steps if step.sensor == rig.sensor],
             exact=exact_reconstruction(rig),
-            measure_again=driven.measure_again,
+            measure_again=rig.sensor in driven.sensors_again,
             sensor=rig.sensor,
         )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
