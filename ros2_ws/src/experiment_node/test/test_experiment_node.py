@@ -351,7 +351,8 @@ def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
     running.reset()
     assert running.call(running.start, experiment=request.node.name).success
     yield running
-    running.change(projector=True, white_between_steps=False, recording_required=False, start_timeout_s=START_TIMEOUT)
+    between = {"white_between_steps": False, "dark_between_steps": False}
+    running.change(projector=True, recording_required=False, start_timeout_s=START_TIMEOUT, **between)
 
 
 def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
@@ -574,6 +575,33 @@ def test_every_step_leaves_white_light_for_the_free_run(rig: Rig, script: dict[s
     assert rig.result(goal)[1].error_code == code
     rig.wait(lambda: rig.on_screen == Exposure.WHITE, "white light")  # after a failure nobody waits for it
     assert rig.shown, "a pattern was on the screen before"
+
+
+@pytest.mark.parametrize(
+    ("script", "code"),
+    [({}, Result.NONE), ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED)],
+)
+def test_a_step_ends_in_the_dark_for_other_sensors(rig: Rig, script: dict[str, Any], code: int) -> None:
+    rig.change(dark_between_steps=True)
+    rig.say_load(LoadState.HOLD)
+    for name, value in script.items():
+        setattr(rig, name, value)
+    goal = rig.request()
+    if code == Result.NONE:
+        rig.wait(lambda: rig.feedback and rig.feedback[-1].stage == "process", "the last feedback")
+        assert rig.on_screen == Exposure.OTHER, "dark before the next sensor begins"
+    assert rig.result(goal)[1].error_code == code
+    rig.wait(lambda: rig.on_screen == Exposure.OTHER, "dark screen")
+    assert rig.shown, "a pattern was on the screen before"
+
+
+def test_a_sensor_continues_with_the_number_of_the_others(rig: Rig) -> None:
+    assert rig.step().step == 0
+    rig.change(first_step=4)
+    assert rig.step().step == 4
+    rig.change(first_step=2)
+    assert rig.step().step == 5, "no number is used twice"
+    rig.change(first_step=0)
 
 
 def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
