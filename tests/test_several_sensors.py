@@ -90,7 +90,8 @@ def test_a_sensor_that_fails_fails_its_own_part(ended: tuple[SensorsReport, Path
     left, right = report.reports
     assert [step.step for step in left.steps] == [step.step for step in right.steps] == [0, 1, 2], lines
     assert [bool(step.error) for step in left.steps] == [False, True, False], lines
-    assert "left/camera was ended by SIGKILL" in left.steps[FAILED].error
+    log = folder / "logs" / "left" / "camera.log"
+    assert left.steps[FAILED].error == f"left/camera was ended by SIGKILL (see {log})"
     assert [step.error for step in right.steps] == [""] * 3, lines
     assert any(line.startswith(f"step {FAILED}, sensor left: left/camera was ended by SIGKILL") for line in lines)
     assert left.failed

@@ -57,11 +57,9 @@ class Participant:
             self.executor.spin_once(timeout_sec=timeout_s)
 
     def close(self) -> None:
-        """End the node, and the context that it did not take from another one."""
+        """End the node, and the context unless it is that of another one, which does not spin any more either."""
         if self._owns_context:
             self.executor.shutdown()
-        else:
-            self.executor.remove_node(self.node)
         end_node(self.node)
         if self._owns_context:
             rclpy.try_shutdown(context=self.context)

@@ -143,10 +143,12 @@ class RunningGraph:
         Raises
         ------
         NodeDiedError
-            The message contains the end of the node's log.
+            The message contains the end of the node's log; that about a named node its path.
         """
         for name, how in self.dead().items():
-            if names is not None and name not in names:
+            if names is not None:
+                if name in names:
+                    raise NodeDiedError(f"{name} {how} (see {self.log(name)})")
                 continue
             raise NodeDiedError(f"{name} {how}. The end of {self.log(name)}:\n{self.log_tail(name)}")
 
