@@ -109,6 +109,12 @@ class _Part:
         values = fields.reshape(*fields.shape[:-2], -1)[..., self.index]
         return np.where(self.index >= 0, values, np.nan)
 
+    @property
+    def repeated(self) -> np.ndarray:
+        """How often the point that is next to a point of the map is used; more than once at a grazing angle."""
+        used = np.bincount(self.index[self.index >= 0], minlength=1)
+        return np.where(self.index >= 0, used[self.index], 1)
+
     def sources(self, step: xr.Dataset) -> np.ndarray:
         """Return the independent errors of the displacement at the points of the map, (4, 3, row, column) [m].
 
@@ -441,7 +447,12 @@ def _joined_step(
     sigmas = np.sqrt(np.stack([covariance[axis, axis] for axis in range(3)]))
     gradients = _gradients(motion, surface, grid)
     overlap, apart = _differences([part for part, _ in measured], moved, noises, others, gradients, registration)
-    joint = [np.einsum("ij...,sj...->si...", share, each) for share, each in zip(shares, sources, strict=True)]
+    joint = []
+    for share, each, (part, _) in zip(shares, sources, measured, strict=True):
+        # the noise of a height that is used k times is that of k points in one: its variance in a mean is k times as
+        # large; errors of the in-plane displacement are correlated over many more points anyway
+        repeated = np.stack([np.sqrt(part.repeated)] * 2 + [np.ones(known.shape)] * 2)
+        joint.append(np.einsum("ij...,sj...->si...", share, each * repeated[:, None]))
     lead = measured[0][1]
     strain = strain_maps(
         (grid.a, grid.b),

@@ -1,8 +1,8 @@
 """Strain of a joined surface from one neighbourhood on it, whichever sensors its points come from.
 
 Least-squares planes over windows of the map give the tangent vectors A_i of the surface before and the slopes of the
-displacement, and with them the Green-Lagrange strain, as for one sensor. The errors are those of each sensor, weighted
-by its share in the mean, with the correlation of neighbouring errors of one sensor.
+displacement, and with them the Green-Lagrange strain, as for one sensor. The errors are those of each sensor at each
+point, weighted by its share in the mean, with the correlation of neighbouring errors of one sensor.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fringedic.sensors.windows import window_slopes, window_sums
+from fringedic.sensors.windows import window_slopes
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 
 
@@ -68,19 +68,16 @@ def strain_maps(
     tangents = np.einsum("ij...,kj...->ik...", basis, before)
     normal = np.cross(tangents[0], tangents[1], axis=0)
     variance = np.zeros((3, *known.shape))
-    white = fitted.white
     for errors in sources:
         for index, gains in enumerate(_gains(filters, half)):
-            part = errors[index]
-            along = np.einsum("ki...,k...->i...", before if index == 0 else after, np.nan_to_num(part))
+            along = np.einsum("ki...,k...->i...", before if index == 0 else after, np.nan_to_num(errors[index]))
             products = np.stack([along[0] ** 2, along[1] ** 2, along[0] * along[1]])
-            sums = window_sums(np.concatenate([np.nan_to_num(products), [np.ones(known.shape)]]), known, half, closed)
-            m_11, m_22, m_12 = _in_basis(basis, *(sums[:3] / np.maximum(sums[3], 1.0)))
-            noise = (gains[0] * white[0], gains[1] * white[1], np.sqrt(gains[0] * gains[1]) * white[2])
-            n_11, n_22, n_12 = _in_basis(basis, *noise)
-            variance[0] += m_11 * n_11
-            variance[1] += m_22 * n_22
-            variance[2] += 0.25 * (m_11 * n_22 + 2.0 * m_12 * n_12 + m_22 * n_11)
+            slopes = window_slopes(*coordinates, products[:0], known, half, closed, products).variances
+            slopes *= np.array([gains[0], gains[1], np.sqrt(gains[0] * gains[1])])[:, None, None]
+            of_11, of_22, of_12 = (_in_basis(basis, *each) for each in _in_basis(basis, *slopes))
+            variance[0] += of_11[0]
+            variance[1] += of_22[1]
+            variance[2] += 0.25 * (of_11[1] + 2.0 * of_12[2] + of_22[0])
     variance += _of_changing_shares(shares, coordinates, after, basis, known, half, closed)
     sigmas = np.sqrt(variance)
     return {
