@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from running_system import MACHINE, WORKING, Killer, ModbusServer, Progress
 from camera_node.testing import FakeCamera
 from fringe_projector_node.testing import VirtualDisplay
 from fringedic.command.outcome import RunReport
+from fringedic.frames.records import stamp_of
+from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
@@ -22,6 +25,7 @@ from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 RIGS = Path(__file__).parent / "rigs"
+PULLED = 0.02  # [mm/s]
 STEPS, FRAMES = 10, 8 * 12 + 2
 # 0; .1 to .4; .5 and back until 400 N, twice; 0. The machine is 2000 N/mm stiff, and relaxes.
 POSITIONS = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, None, 0.5, None, 0.0]  # [mm]; None: where the force ended the move
@@ -111,3 +115,30 @@ def test_ten_steps_on_devices_and_a_killed_camera_node(folder: Path, tmp_path: P
     counts = {name.removeprefix("/rig/"): count for name, count in again.counts.items()}
     assert counts["camera/image_raw"] == recorded.counts[names["camera/image_raw"]]
     assert counts["phase/status"] >= STEPS
+
+
+@pytest.mark.slow
+@pytest.mark.hardware
+def test_stacks_follow_each_other_on_devices_while_the_machine_moves(folder: Path) -> None:
+    """Every frame over GigE Vision is recorded with what was projected; the crosshead passes on without a hold."""
+    (folder / "pull.yaml").write_text(f"{{experiment: pull, continuous: {{to_mm: 0.4, speed_mm_per_s: {PULLED}}}}}")
+    rig, programme = load_rig(folder / "devices.yaml", folder / "pull.yaml", None)
+    with devices(folder):
+        report = run_experiment(rig, folder / "devices.yaml", programme, folder / "run", Progress())
+    assert [step.error for step in report.steps] == [""] * len(report.steps)
+    assert all(step.missing == 0 for step in report.steps)
+    recorded = BagReader(report.folder / "bag")
+    names = recorded.find("camera/image_raw", "camera/exposure", "load_frame/state")
+    images = {stamp_of(each) for _, each, _ in recorded.messages([names["camera/image_raw"]])}
+    states = [each for _, each, _ in recorded.messages([names["load_frame/state"]])]
+    stamps, positions = [stamp_of(each) for each in states], [each.position for each in states]
+    stacks = [[*frames] for _, frames in groupby(records(recorded), key=lambda each: each.step_key)]
+    pulled = stacks[1:]
+    assert len(pulled) >= 3, "many more on a computer without other work"
+    for stack in pulled:
+        assert [each.pattern for each in stack] == rig.moving_patterns(), "none lost, none twice"
+        assert {each.stamp for each in stack} <= images
+    ends = np.array([(stack[0].stamp, stack[-1].stamp) for stack in pulled[:-1]])  # in the last one the move ends
+    assert (np.diff(ends.ravel()) > 0).all()
+    seconds, passed = 1e-9 * np.diff(ends), np.diff(np.interp(ends, stamps, positions))
+    np.testing.assert_allclose(passed, 1e-3 * PULLED * seconds, atol=2e-6, err_msg="the machine moves all the time")
