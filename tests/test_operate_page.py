@@ -314,6 +314,8 @@ def test_a_whole_programme_is_driven_with_the_keyboard_alone(page: Page) -> None
     focus(page, "#programme")
     page.keyboard.press("Control+a")
     page.keyboard.type("{experiment: keys, steps: [{}, {}, {hold_s: 600}]}")
+    expect(page.locator("#plan summary")).to_have_text("Steps: 3", timeout=WAIT_MS)
+    expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)  # a press while it is checked is refused
     key(page, "#run")
     key(page, "#pause")
     expect(page.locator("#summary")).to_contain_text("is paused", timeout=WAIT_MS)

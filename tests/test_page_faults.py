@@ -643,9 +643,12 @@ def test_a_test_and_a_series_begin_with_the_answers_of_the_form(page: Page, rig:
     (rig.folder / "recordings" / "plate-8" / "report.html").touch()
     rig.show_tests()
     expect(page.locator("#series li").first).to_contain_text("plate-8: 3 steps measured")
-    page.locator("#series li").nth(1).locator("button").click()
-    wait_until(lambda: len(rig.commands) == 3, "the test")
-    assert rig.commands[-1].options == {"test": answers | {"specimen": "plate 10"}}
+    for number, field in enumerate(("specimen", "Probe"), start=3):
+        rig.show(rig={"specimen_field": field})
+        expect(page.locator("#series li button").nth(1)).not_to_have_attribute("aria-busy", "true")
+        page.locator("#series li button").nth(1).click()
+        wait_until(lambda count=number: len(rig.commands) == count, "the test")
+        assert rig.commands[-1].options == {"test": answers | {field: "plate 10"}}
     rig.file.plan_series(Series())
 
 

@@ -346,7 +346,7 @@ def measures_a_step_by_hand(hands: Mouse) -> None:
     hands.click("#measure", MEASURED_S)
     hands.reads("#hand", "step 0 is measured", MEASURED_S)
     hands.click("#stop")
-    hands.reads("#words", "dataset and report in by_hand", MEASURED_S)
+    hands.reads("#words", "dataset and report in plate-7-", MEASURED_S)
 
 
 DRIVING: dict[str, Task] = {

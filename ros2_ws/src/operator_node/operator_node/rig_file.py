@@ -21,7 +21,7 @@ from fringedic.configuration.programme_check import check_programme, parse_progr
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.sentences import forecast_sentence
-from fringedic.configuration.test_form import SPECIMEN, answered_specimen, answers_of
+from fringedic.configuration.test_form import answered_specimen, answers_of, specimen_field
 from fringedic.configuration.test_series import Series, load_series, series_file
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.frames.region import Region
@@ -121,8 +121,9 @@ class ShownRigFile:
             An answer of the form is not valid, or the file cannot be written.
         """
         rig = load_rig_file(self._path)
+        field = specimen_field(rig.test_form)
         for specimen in series.specimens:
-            answered_specimen(rig.test_form, rig.specimen, {**series.answers, SPECIMEN: specimen})
+            answered_specimen(rig.test_form, rig.specimen, {**series.answers, field: specimen})
         try:
             series.model_copy(update={"planned": time.time()}).save(series_file(self._path))
         except OSError as error:
@@ -166,11 +167,12 @@ class ShownRigFile:
     def _read(self) -> dict[str, Any]:
         self._recordings = None
         shown: dict[str, Any] = {"file": self._path.name, "file_error": "", "region": [], "changed": self._changed}
-        shown |= {"form": [], "answers": {}}
+        shown |= {"form": [], "specimen_field": "", "answers": {}}
         try:
             rig = load_rig_file(self._path)
             self._recordings, self._sensor = self._path.absolute().parent / rig.recording.folder, rig.sensor
             shown["form"] = [field.model_dump() for field in rig.test_form]
+            shown["specimen_field"] = specimen_field(rig.test_form)
             shown["answers"] = answers_of(rig.test_form, rig.specimen)
             shown |= {"load_frame": rig.load_frame is not None, "stage": rig.virtual_rig is not None}
             shown |= {"has_programme": rig.programme is not None, "calibration": self._calibration(rig)}

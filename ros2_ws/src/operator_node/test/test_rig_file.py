@@ -74,6 +74,17 @@ def test_tests_are_those_beside_the_rig_file(
     assert found == {"five-1": False, "five-2": True}
 
 
+def test_a_series_has_the_specimens_in_the_field_of_their_name(file: ShownRigFile, tmp_path: Path) -> None:
+    """A form whose field of the specimen's name has another name refused every series."""
+    assert file.shown()["specimen_field"] == "specimen"
+    form = "test_form: [{name: Probe, entry: name, required: true}, {name: Breite, kind: number}]"
+    (tmp_path / "rig.yaml").write_text(RIG + form)
+    own = ShownRigFile(tmp_path / "rig.yaml")
+    assert own.shown()["specimen_field"] == "Probe"
+    own.plan_series(Series(specimens=["A1", "A2"], answers={"Breite": 20.5}))
+    assert own.series()["specimens"] == ["A1", "A2"]
+
+
 def test_rigs_are_those_beside_the_rig_file_and_those_that_were_opened(
     file: ShownRigFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

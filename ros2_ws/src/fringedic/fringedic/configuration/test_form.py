@@ -76,7 +76,7 @@ class FormField(Section):
         return float(value)
 
 
-SPECIMEN = translatable("specimen")  # name of the field in which the specimens of a series differ
+SPECIMEN = translatable("specimen")
 DEFAULT_FORM = (
     FormField(name=SPECIMEN, entry="name"),
     FormField(name=translatable("specimen number"), entry="number"),
@@ -106,6 +106,17 @@ def check_form(form: Sequence[FormField]) -> None:
         twice = next((each for each in named if named.count(each) > 1), None)
         if twice is not None:
             raise ValueError(f"two fields have the {what} {twice}: remove one")
+
+
+def specimen_field(form: Sequence[FormField]) -> str:
+    """Return the name of the field that contains the specimen's name: the tests of a series differ in it.
+
+    Examples
+    --------
+    >>> specimen_field([FormField(name="Probe", entry="name")]), specimen_field(DEFAULT_FORM)
+    ('Probe', 'specimen')
+    """
+    return next((field.name for field in form if field.entry == "name"), SPECIMEN)
 
 
 def answers_of(form: Sequence[FormField], specimen: SpecimenMetadata) -> Answers:

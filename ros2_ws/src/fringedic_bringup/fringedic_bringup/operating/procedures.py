@@ -24,7 +24,7 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.programme_check import check_programme, parse_programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.test_card import Card, load_card
-from fringedic.configuration.test_form import SPECIMEN, Answers, answered_specimen
+from fringedic.configuration.test_form import Answers, answered_specimen, specimen_field
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
 from fringedic.frames.files import write_grey
@@ -373,7 +373,7 @@ def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
 
 def _recording_folder(place: Place, job: Job, rig: RigFile, answers: Answers, experiment: str) -> Path:
     """Return the folder of a new test, named as its specimen where the form has one, else as its programme."""
-    if specimen := str(answers.get(SPECIMEN, "")):
+    if specimen := str(answers.get(specimen_field(rig.test_form), "")):
         experiment = path_name(specimen)
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     return place.new_folder(job, f"{rig.recording.folder}/{experiment}-{stamp}")

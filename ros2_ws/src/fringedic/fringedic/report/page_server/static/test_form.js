@@ -6,7 +6,6 @@ import { decimal, known, t } from "./language.js";
 import { numberField } from "./numbers.js";
 import { latest } from "./stream.js";
 
-export const SPECIMEN = "specimen"; // the field in which the specimens of a series differ
 const OF_ONE_TEST = ["name", "number", "test_number"]; // entries of the specimen that differ from test to test
 let of = "", fields = []; // the form that the fields belong to; they keep what was typed while views change
 
@@ -22,7 +21,7 @@ export function formParts() {
 
 // Fills the form, but for what the next test has of its own.
 function fill(answers) {
-  for (const { name, entry, input } of fields) if (name !== SPECIMEN && !OF_ONE_TEST.includes(entry) && name in answers) input.value = typeof answers[name] === "number" ? decimal(answers[name]) : answers[name];
+  for (const { name, entry, input } of fields) if (!OF_ONE_TEST.includes(entry) && name in answers) input.value = typeof answers[name] === "number" ? decimal(answers[name]) : answers[name];
 }
 
 // The answers by the names of the fields; null, with the problem shown, when one is not valid. An empty field removes the entry of the rig file.

@@ -6,7 +6,6 @@ import { date, decimal, known, spoken, t } from "./language.js";
 import { cannotStart } from "./procedure.js";
 import { command, start } from "./server.js";
 import { latest, listen } from "./stream.js";
-import { SPECIMEN } from "./test_form.js";
 
 const kept = { search: "", compared: [] };
 
@@ -75,7 +74,7 @@ function seriesParts() {
     return make("li", { class: "row", "data-key": specimen }, make("strong", {}, specimen),
       done ? make("span", { class: done.state }, `${done.name}: ${known(done.verdict)}`) : make("span", { class: "soft" }, t("not tested")),
       button(done ? t("Test again") : t("Test"), { class: done ? "" : "main", "data-key": "test", "aria-label": t("Test {specimen}", { specimen }), why: cannotStart(),
-        onclick: () => start({ procedure: "run", text, options: { test: { ...answers, [SPECIMEN]: specimen } } }) }));
+        onclick: () => start({ procedure: "run", text, options: { test: { ...answers, [latest("rig").specimen_field]: specimen } } }) }));
   });
   return [make("h2", {}, t("Series")), problem ? make("p", { class: "bad" }, problem) : null,
     specimens.length ? make("p", { class: "soft" }, `${text ? t("Programme written for the series") : t("Programme of the rig file")}${common ? `; ${common}` : ""}.`)
