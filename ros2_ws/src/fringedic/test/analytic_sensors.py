@@ -76,10 +76,11 @@ class Sensors:
         for first in range(len(names) if around else 1):
             for place, centres in enumerate(PLACES):
                 for sensor in (names[first], names[(first + 1) % len(names)]):
-                    found += [self._ball(sensor, f"{first}.{place}.{ball}", at) for ball, at in enumerate(centres)]
+                    found += [self.ball(sensor, f"{first}.{place}.{ball}", at) for ball, at in enumerate(centres)]
         return found
 
-    def _ball(self, sensor: str, name: str, centre: np.ndarray) -> Feature:
+    def ball(self, sensor: str, name: str, centre: np.ndarray) -> Feature:
+        """Return a ball [m] that a sensor measured."""
         rotation, translation = self.poses[sensor]
         sigma = np.array([1e-6, 1e-6, 2e-6])
         own = rotation.inv().apply(centre - translation)

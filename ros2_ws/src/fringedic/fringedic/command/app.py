@@ -274,10 +274,15 @@ def refuse_unused(context: typer.Context, names: Collection[str], reason: str) -
         At least one was given.
     """
     options = {str(each.name): each.opts[0] for each in context.command.params if each.name in names}
-    sources = {name: context.get_parameter_source(name) for name in options}
-    given = [options[name] for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
-    if given:
-        raise ConfigurationError(f"{', '.join(given)}: {reason}")
+    unused = [option for name, option in options.items() if given(context, name)]
+    if unused:
+        raise ConfigurationError(f"{', '.join(unused)}: {reason}")
+
+
+def given(context: typer.Context, name: str) -> bool:
+    """Return whether the option of a parameter was written in the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def parameter_values(settings: Iterable[str] | None) -> dict[str, Any]:

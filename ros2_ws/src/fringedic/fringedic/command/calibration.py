@@ -16,6 +16,7 @@ from fringedic.command.app import (
     app,
     begin,
     console,
+    given,
     losses,
     output_file,
     refuse_unused,
@@ -88,7 +89,11 @@ def _calibrate_with_nodes(
     return report
 
 
-@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic check plate.yaml --distance-mm 5")
+@app.command(
+    rich_help_panel=SET_UP,
+    epilog="Examples: fringedic check plate.yaml --distance-mm 5; "
+    "fringedic check recordings/bar/bag --balls-mm 10 --distance-mm 80.002",
+)
 def check(
     context: typer.Context,
     rig: Rig,
@@ -106,8 +111,33 @@ def check(
     ] = False,
     sensor: RigSensor = None,
     output: Annotated[Path, typer.Option(help="Folder for page and recording.")] = Path("check"),
+    balls_mm: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="Diameter of the two balls of a bar that several sensors recorded: the argument is this recording, "
+            "and --distance-mm the distance of their centres.",
+        ),
+    ] = None,
+    sigma_um: Annotated[
+        float, typer.Option(min=0.0, help="With --balls-mm: standard uncertainty of the distance in µm.")
+    ] = 0.0,
+    registration: Annotated[
+        Path | None,
+        typer.Option(help="With --balls-mm: poses of the sensors; by default registration.yaml beside the recording."),
+    ] = None,
 ) -> None:
-    """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
+    """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid.
+
+    With --balls-mm the distance is one across several sensors, which tests their registration.
+    """
+    if balls_mm is not None:
+        refuse_unused(context, {"vdi", "output"}, "--balls-mm checks a recording; leave this out")
+        if not given(context, "distance_mm"):
+            raise ConfigurationError("--balls-mm needs --distance-mm, the distance of the centres of the balls")
+        _check_across(rig, 1e-3 * balls_mm, 1e-3 * distance_mm, 1e-6 * sigma_um, registration)
+        return
+    refuse_unused(context, {"sigma_um", "registration"}, "belongs to --balls-mm; leave it out")
     if vdi:
         refuse_unused(context, {"distance_mm"}, "--vdi measures artefacts, not a distance; leave one of them out")
         _accept(rig_path_of(rig), sensor, output)
@@ -124,6 +154,29 @@ def check(
         result = check_rig(rig_file, path, folder, progress, distance=1e-3 * distance_mm, ask=progress.ask)
     say(check_sentence(result), *check_warning_sentences(result), f"page: {folder / CHECK_PAGE}")
     if not result.holds:
+        raise typer.Exit(1)
+
+
+def _check_across(bag: Path, diameter: float, distance: float, sigma: float, registration: Path | None) -> None:
+    """Compare a known distance across the sensors of a recording; exit code 1 if it deviates."""
+    from fringedic.sensors import measure_distances
+    from fringedic.sensors.files import load_registration
+    from fringedic.sensors.recorded import registration_of
+    from fringedic.sensors.sentences import distances_in_words
+
+    file = registration or registration_of(bag)
+    if file is None:
+        raise ConfigurationError(
+            f"{bag}: there is no registration.yaml beside the recording: give the file with --registration, or "
+            "register the sensors with 'fringedic register'"
+        )
+    with LiveProgress(console) as progress:
+        progress.stage(f"measuring the balls of {bag}")
+        found = measure_distances(
+            bag, load_registration(file), distance, diameter=diameter, sigma=sigma, progress=progress.note
+        )
+    say(*distances_in_words(found))
+    if not all(each.holds for each in found):
         raise typer.Exit(1)
 
 

@@ -21,7 +21,7 @@ from fringedic.datasets.quantities import (
     TIME_ZERO,
 )
 from fringedic.errors import DatasetError
-from fringedic.frames.sensor import SENSOR, sensor_name
+from fringedic.frames.sensor import JOINED, SENSOR, sensor_name
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
 from fringedic.rig.model import RigModel
@@ -136,14 +136,15 @@ def file_stem(dataset: xr.Dataset) -> str:
 
 
 def sensor_of(dataset: xr.Dataset) -> str:
-    """Return the name of the sensor whose frames were measured, which becomes a part of names of files.
+    """Return the name of the sensor whose frames were measured, or ``joined``; it becomes a part of names of files.
 
     Raises
     ------
     DatasetError
         It is no name of a sensor.
     """
-    return str(check_value(DatasetError, "sensor of the dataset", dataset.attrs.get("sensor", SENSOR), sensor_name))
+    name = dataset.attrs.get("sensor", SENSOR)
+    return JOINED if name == JOINED else str(check_value(DatasetError, "sensor of the dataset", name, sensor_name))
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

@@ -12,7 +12,7 @@ from pydantic import AfterValidator
 SENSOR = "sensor"
 """Name of a sensor that was given none, also in recordings, calibrations and datasets of earlier versions."""
 JOINED = "joined"
-"""Name of the surface of several sensors together in datasets and names of files; do not name a sensor so."""
+"""Name of the surface of several sensors together in datasets and names of files; no sensor can have it."""
 _TOKEN = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 60
 
@@ -28,7 +28,13 @@ def sensor_name(value: Any) -> str:
     Traceback (most recent call last):
     fringedic.errors.ConfigurationError: sensor is '../left': it has to be a name of letters, digits and single \
 underscores, at most 60 of them, that begins with a letter
+    >>> check_value(ConfigurationError, "sensor", "joined", sensor_name)
+    Traceback (most recent call last):
+    fringedic.errors.ConfigurationError: sensor is 'joined': it has to be another name than 'joined', which is that of \
+the surface of several sensors
     """
+    if value == JOINED:
+        raise ValueError(f"another name than '{JOINED}', which is that of the surface of several sensors")
     if isinstance(value, str) and len(value) <= _LONGEST and _TOKEN.fullmatch(value):
         return value
     raise ValueError(

@@ -56,7 +56,7 @@ from fringedic.report.templates import (
 from fringedic.report.warnings import warnings
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
-from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
+from fringedic.sensors.sentences import overlap_sentence, registration_remarks, sensor_error_sentences
 from fringedic.surface.strain_measures import TENSORS
 from fringedic.wording.arguments import check_arguments, optional, path, several, whole
 
@@ -213,6 +213,7 @@ def _content(
         "confirmation": confirmation_sentence(dataset),
         "overlap": overlap_sentence(dataset),
         "warnings": warnings(data, static, floors)
+        + registration_remarks(dataset)
         + sensor_error_sentences(dataset)
         + failed
         + unread

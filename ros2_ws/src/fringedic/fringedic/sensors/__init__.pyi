@@ -1,9 +1,12 @@
+from .distance import DistanceAcross as DistanceAcross
+from .distance import distances_across as distances_across
 from .features import Feature as Feature
 from .features import measure_balls as measure_balls
 from .features import measure_plane as measure_plane
 from .join import join_sensors as join_sensors
 from .poses import SensorPose as SensorPose
 from .recorded import join_recording as join_recording
+from .recorded import measure_distances as measure_distances
 from .recorded import register_recording as register_recording
 from .registration import Registration as Registration
 from .registration import register as register

@@ -84,19 +84,31 @@ def load_registration(path: str | Path) -> Registration:
         The file cannot be read, is no registration, or its content has changed since it was written.
     """
     try:
-        content, _ = unsealed(load_yaml(Path(path).read_text(encoding="utf-8")), str(path))
-        return _registration(content)
+        return registration_from_text(Path(path).read_text(encoding="utf-8", errors="replace"), str(path))
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {cause_of(error)}") from None
+
+
+def registration_from_text(text: str, place: str) -> Registration:
+    """Return the registration in the text of a file; `place` is the name of the file, for messages.
+
+    Raises
+    ------
+    CalibrationError
+        As of `load_registration`.
+    """
+    try:
+        content, edited = unsealed(load_yaml(text), place)
+        return _registration(content, edited)
     except ChangedFileError as error:
-        raise CalibrationError(f"{path}: {error}") from None
+        raise CalibrationError(f"{place}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
         raise CalibrationError(
-            f"{path}: is no registration of sensors; 'fringedic register' writes one ({error!r})"
+            f"{place}: is no registration of sensors; 'fringedic register' writes one ({error!r})"
         ) from None
 
 
-def _registration(content: dict[str, Any]) -> Registration:
+def _registration(content: dict[str, Any], edited: bool) -> Registration:
     sensors = content["sensors"]
     poses = {
         name: SensorPose(
@@ -136,6 +148,7 @@ def _registration(content: dict[str, Any]) -> Registration:
             Finding(RegistrationFinding(each["code"]), each["subject"], each["values"]) for each in content["findings"]
         ),
         created=datetime.fromisoformat(content["created"]),
+        edited=edited,
     )
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from fringedic.datasets.attributes import parameters_of, recorded_calibration, sensor_of
 from fringedic.datasets.quantities import JOINED_MAPS, MAPS
-from fringedic.errors import DatasetError
+from fringedic.errors import CalibrationError, DatasetError
 from fringedic.frames.sensor import JOINED
 from fringedic.rig.model import RigModel
 from fringedic.sensors.charts import Chart, choose_chart, is_closed
@@ -204,37 +204,11 @@ def join_sensors(
 def _check(datasets: Mapping[str, xr.Dataset], registration: Registration) -> None:
     if len(datasets) < 2:
         raise DatasetError(f"only the sensor {', '.join(datasets)} was measured: a joined surface needs two")
-    identifiers = {}
-    for name, dataset in datasets.items():
-        if name not in registration.poses:
-            raise DatasetError(
-                f"the sensor '{name}' has no pose in the registration, which contains "
-                f"{', '.join(registration.poses)}: register it with the others"
-            )
-        if sensor_of(dataset) != name:
-            raise DatasetError(f"the dataset of the sensor '{sensor_of(dataset)}' was given as that of '{name}'")
-        missing = [each for each in _NEEDED if each not in dataset]
-        model = recorded_calibration(dataset)
-        if model is None or missing:
-            raise DatasetError(
-                f"the dataset of the sensor '{name}' has no "
-                f"{missing[0] if missing else 'calibration'}: process its recording again with a calibration"
-            )
-        identifiers[name] = model.identifier
-    for name, identifier in identifiers.items():
-        registered = registration.calibrations[name]
-        if identifier == registered:
-            continue
-        other = next((each for each, known in registration.calibrations.items() if known == identifier), None)
-        if other is not None:
-            raise DatasetError(
-                f"the sensor '{name}' was measured with the calibration of '{other}': the cameras or the calibration "
-                f"files of '{name}' and '{other}' are exchanged; exchange them back in the rig file"
-            )
-        raise DatasetError(
-            f"the sensor '{name}' was measured with the calibration '{identifier}', but registered with "
-            f"'{registered}', which has another frame: register the sensors again with the calibrations in use"
-        )
+    try:
+        registration.require_poses(datasets)
+        registration.require({name: _calibration(name, dataset) for name, dataset in datasets.items()})
+    except CalibrationError as error:
+        raise DatasetError(str(error)) from None
     references = {name: _references(dataset) for name, dataset in datasets.items()}
     if len(set().union(*references.values())) > 1:
         said = "; ".join(f"'{name}': {', '.join(map(str, sorted(each)))}" for name, each in references.items())
@@ -242,6 +216,20 @@ def _check(datasets: Mapping[str, xr.Dataset], registration: Registration) -> No
             f"the displacements count from different reference steps ({said}): process the recording with "
             "one --reference"
         )
+
+
+def _calibration(name: str, dataset: xr.Dataset) -> str:
+    """Return the identifier of the calibration of a dataset that has everything which joining needs."""
+    if sensor_of(dataset) != name:
+        raise DatasetError(f"the dataset of the sensor '{sensor_of(dataset)}' was given as that of '{name}'")
+    missing = [each for each in _NEEDED if each not in dataset]
+    model = recorded_calibration(dataset)
+    if model is None or missing:
+        raise DatasetError(
+            f"the dataset of the sensor '{name}' has no "
+            f"{missing[0] if missing else 'calibration'}: process its recording again with a calibration"
+        )
+    return model.identifier
 
 
 def _references(dataset: xr.Dataset) -> set[int]:
@@ -611,6 +599,7 @@ def _as_dataset(
                 "verdict": str(registration.verdict),
                 "reference": registration.reference,
                 "created": registration.created.isoformat(),
+                "edited": registration.edited,
             }
         ),
         "chart": json.dumps(

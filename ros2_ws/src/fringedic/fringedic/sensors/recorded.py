@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import xarray as xr
 
@@ -23,6 +23,7 @@ from fringedic.recording.bag_files import recording_of
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
+from fringedic.sensors.distance import DistanceAcross, distances_across
 from fringedic.sensors.features import Feature, match_balls, measure_balls, measure_plane
 from fringedic.sensors.files import REGISTRATION_FILE, load_registration
 from fringedic.sensors.join import join_sensors
@@ -72,24 +73,24 @@ def register_recording(
     CalibrationError
         A sensor has no calibration, no object in common with the others, or the objects do not determine its pose.
     """
-    recording = recording_of(Path(path))
-    sensors = sorted(BagReader(recording).sensors)
-    if len(sensors) < 2:
-        raise RecordingError(
-            f"{path} contains the sensor {', '.join(sensors)} only: a registration needs a recording of two or more"
-        )
+    sensors = _several(Path(path))
+    orientation = Orientation.VERTICAL
     models, seen = dict[str, RigModel](), dict[int, dict[str, list[Feature]]]()
-    for sensor in sensors:
-        reader = BagReader(recording, sensor=sensor)
-        models[sensor] = _model(reader, sensor, calibrations or {})
-        for stack, parameters in _stacks(reader):
-            try:
-                found, orientation = _features(stack, parameters, models[sensor], balls)
-            except FringedicError as error:
-                progress(f"{sensor}, step {stack.step}: not used, {error}")
-                continue
-            seen.setdefault(stack.step, {})[sensor] = found
-            progress(f"{sensor}, step {stack.step}: {len(found)} {'planes' if balls is None else 'balls'}")
+    for shape in _shapes(Path(path), sensors, calibrations or {}, models, progress):
+        name, model = f"step {shape.step}", models[shape.sensor]
+        orientation = shape.orientation
+        try:
+            if balls is None:
+                found = [measure_plane(shape.surface, model, f"{name}, plane", orientation)]
+            else:
+                found = measure_balls(
+                    shape.surface, model, balls.diameter, balls.number, f"{name}, ", shape.orientation
+                )
+        except CalibrationError as error:
+            progress(f"{shape.sensor}, {name}: not used, {error}")
+            continue
+        seen.setdefault(shape.step, {})[shape.sensor] = found
+        progress(f"{shape.sensor}, {name}: {len(found)} {'planes' if balls is None else 'balls'}")
     features = []
     for by_sensor in seen.values():
         first, *others = by_sensor.values()
@@ -119,6 +120,47 @@ def _model(reader: BagReader, sensor: str, calibrations: Mapping[str, RigModel])
     return model
 
 
+class _Shape(NamedTuple):
+    """The surface that a sensor measured in a step."""
+
+    step: int
+    sensor: str
+    surface: xr.Dataset
+    orientation: Orientation
+
+
+def _several(path: Path) -> list[str]:
+    """Return the sensors of a recording of two or more."""
+    sensors = sorted(BagReader(recording_of(path)).sensors)
+    if len(sensors) < 2:
+        raise RecordingError(
+            f"{path} contains the sensor {', '.join(sensors)} only: a recording of two or more sensors is needed"
+        )
+    return sensors
+
+
+def _shapes(
+    path: Path,
+    sensors: Sequence[str],
+    calibrations: Mapping[str, RigModel],
+    models: dict[str, RigModel],
+    progress: Callable[[str], None],
+) -> Iterator[_Shape]:
+    """Yield the surfaces of all sensors and steps, and enter the calibrations of the sensors into `models`."""
+    for sensor in sensors:
+        reader = BagReader(recording_of(path), sensor=sensor)
+        model = models[sensor] = _model(reader, sensor, calibrations)
+        for stack, parameters in _stacks(reader):
+            try:
+                measured = phase_step(stack, parameters)
+            except FringedicError as error:
+                progress(f"{sensor}, step {stack.step}: not used, {error}")
+                continue
+            orientation = measured.orientation
+            surface = model.reconstruct(measured.phase, measured.pitch, measured.sigma, orientation)
+            yield _Shape(stack.step, sensor, surface, orientation)
+
+
 def _stacks(reader: BagReader) -> Iterator[tuple[Stack, PhaseParameters]]:
     parameters, collector = RecordedParameters({}), FrameCollector()
     for event in events(reader, reader.find(*_FRAMES[:2]) | reader.find_optional(*_FRAMES[2:])):
@@ -130,17 +172,66 @@ def _stacks(reader: BagReader) -> Iterator[tuple[Stack, PhaseParameters]]:
             yield stack, parameters.phase
 
 
-def _features(
-    stack: Stack, parameters: PhaseParameters, model: RigModel, balls: Balls | None
-) -> tuple[list[Feature], Orientation]:
-    """Return the balls, or the plane, of one step."""
-    measured = phase_step(stack, parameters)
-    shape = model.reconstruct(measured.phase, measured.pitch, measured.sigma, measured.orientation)
-    name = f"step {stack.step}"
-    if balls is None:
-        return [measure_plane(shape, model, f"{name}, plane", measured.orientation)], measured.orientation
-    found = measure_balls(shape, model, balls.diameter, balls.number, f"{name}, ", measured.orientation)
-    return found, measured.orientation
+def measure_distances(
+    path: str | os.PathLike[str],
+    registration: Registration,
+    distance: float,
+    *,
+    diameter: float,
+    sigma: float = 0.0,
+    calibrations: Mapping[str, RigModel] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[DistanceAcross]:
+    """Measure the known distance of two balls, of which one sensor sees one and another sensor the other.
+
+    Parameters
+    ----------
+    path
+        The recording of two or more sensors; in each step the bar with the balls is in another place.
+    registration
+        Poses of the sensors.
+    distance, sigma
+        Distance of the centres and its standard uncertainty, of the certificate [m].
+    diameter
+        Of the balls [m].
+    calibrations, progress
+        As of `register_recording`.
+
+    Returns
+    -------
+    list of DistanceAcross
+        Of every step and every pair of sensors.
+
+    Raises
+    ------
+    RecordingError
+        The recording contains one sensor only.
+    CalibrationError
+        A sensor has no calibration, or another one than the registered; or no distance was measured across sensors.
+    """
+    models, seen = dict[str, RigModel](), dict[int, list[Feature]]()
+    for shape in _shapes(Path(path), _several(Path(path)), calibrations or {}, models, progress):
+        found = _up_to_two_balls(shape, models[shape.sensor], diameter)
+        seen.setdefault(shape.step, []).extend(found)
+        progress(f"{shape.sensor}, step {shape.step}: {len(found)} balls")
+    distances = [
+        each
+        for step, balls in seen.items()
+        for each in distances_across(balls, models, registration, distance, expected_sigma=sigma, step=step)
+    ]
+    if not distances:
+        raise CalibrationError(
+            f"{path}: in no step two sensors measured one of the balls each: place the bar across both views"
+        )
+    return distances
+
+
+def _up_to_two_balls(shape: _Shape, model: RigModel, diameter: float) -> list[Feature]:
+    """Return the balls of a bar that a sensor sees: two, one or none."""
+    for number in (2, 1):
+        with suppress(CalibrationError):
+            return measure_balls(shape.surface, model, diameter, number, f"step {shape.step}, ", shape.orientation)
+    return []
 
 
 def registration_of(path: str | os.PathLike[str]) -> Path | None:

@@ -82,6 +82,8 @@ class Registration:
         Remarks.
     created
         Time.
+    edited
+        Whether a person has edited its file.
     """
 
     reference: str
@@ -96,6 +98,7 @@ class Registration:
     orientation: Orientation = Orientation.VERTICAL
     findings: tuple[Finding, ...] = ()
     created: datetime = field(default_factory=lambda: datetime.now(UTC))
+    edited: bool = False
 
     @property
     def placed(self) -> list[str]:
@@ -114,6 +117,44 @@ class Registration:
         if codes & {RegistrationFinding.CONTRADICTION, RegistrationFinding.UNCERTAIN}:
             return RegistrationVerdict.NO_GO
         return RegistrationVerdict.WITH_CARE if codes else RegistrationVerdict.GO
+
+    def require(self, identifiers: Mapping[str, str]) -> None:
+        """Refuse sensors without a pose, and calibrations other than those that the sensors were registered with.
+
+        Parameters
+        ----------
+        identifiers
+            Of the calibration in use, by sensor.
+
+        Raises
+        ------
+        CalibrationError
+            One of them.
+        """
+        self.require_poses(identifiers)
+        for name, identifier in identifiers.items():
+            registered = self.calibrations[name]
+            if identifier == registered:
+                continue
+            other = next((each for each, known in self.calibrations.items() if known == identifier), None)
+            if other is not None:
+                raise CalibrationError(
+                    f"the sensor '{name}' was measured with the calibration of '{other}': the cameras or the "
+                    f"calibration files of '{name}' and '{other}' are exchanged; exchange them back in the rig file"
+                )
+            raise CalibrationError(
+                f"the sensor '{name}' was measured with the calibration '{identifier}', but registered with "
+                f"'{registered}', which has another frame: register the sensors again with the calibrations in use"
+            )
+
+    def require_poses(self, sensors: Iterable[str]) -> None:
+        """Refuse sensors without a pose (`CalibrationError`)."""
+        for name in sensors:
+            if name not in self.poses:
+                raise CalibrationError(
+                    f"the sensor '{name}' has no pose in the registration, which contains {', '.join(self.poses)}: "
+                    "register it with the others"
+                )
 
     def pose_covariance(self, sensor: str) -> np.ndarray:
         """Return the covariance (6, 6) of the pose of a sensor; zero for the reference."""

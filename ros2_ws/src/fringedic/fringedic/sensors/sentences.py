@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 
 from fringedic.camera.findings import Finding
 from fringedic.datasets.quantities import JOINED_MAPS
+from fringedic.sensors.distance import DistanceAcross
 from fringedic.sensors.findings import RegistrationFinding, RegistrationVerdict
 from fringedic.sensors.join import SENSOR_ERRORS
 from fringedic.sensors.registration import Registration
 from fringedic.wording.numbers import counted, number_text
+from fringedic.wording.sealed_yaml import EDITED_WORDS
 
 _UM, _MM = 1e6, 1e3
 
@@ -96,6 +98,43 @@ def overlap_sentence(dataset: xr.Dataset) -> str:
         "Where two sensors overlap, their RMS difference in units of its standard deviation is: "
         f"{', '.join(figures)}. 1 is expected."
     )
+
+
+def distances_in_words(distances: Sequence[DistanceAcross]) -> list[str]:
+    """Return the verdict on a registration by a known distance, and each measured one."""
+    worst = max(distances, key=lambda each: abs(each.score))
+    holds = all(each.holds for each in distances)
+    first = (
+        f"The registration holds: {counted(len(distances), 'distance')} across sensors deviate from "
+        f"{_MM * worst.expected:.4f} mm by at most {number_text(abs(worst.score), 2)} standard uncertainties."
+        if holds
+        else f"The registration does not hold: in step {worst.step} the distance between the balls of "
+        f"'{worst.sensors[0]}' and '{worst.sensors[1]}' deviates by {number_text(_UM * worst.error, 3)} µm, "
+        f"{number_text(abs(worst.score), 3)} standard uncertainties. Check the distance in the certificate; if it is "
+        "right, register the sensors again."
+    )
+    return [
+        first,
+        *(
+            f"step {each.step}, {each.sensors[0]} to {each.sensors[1]}: {_MM * each.distance:.4f} ± "
+            f"{_MM * each.sigma:.4f} mm, error {number_text(_UM * each.error, 3)} µm"
+            for each in distances
+        ),
+    ]
+
+
+def registration_remarks(dataset: xr.Dataset) -> list[str]:
+    """Return what a reader has to know of the registration that a joined dataset was made with."""
+    registration = json.loads(dataset.attrs.get("registration", "{}"))
+    found = []
+    if registration.get("edited"):
+        found.append(f"The registration of the sensors, of {registration['created'][:10]}, was {EDITED_WORDS}.")
+    if registration.get("verdict") == RegistrationVerdict.NO_GO:
+        found.append(
+            "The sensors were joined although the verdict of their registration is NO-GO: positions and displacements "
+            "of different sensors contradict each other."
+        )
+    return found
 
 
 def sensor_error_sentences(dataset: xr.Dataset) -> list[str]:

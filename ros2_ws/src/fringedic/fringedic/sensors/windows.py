@@ -118,4 +118,5 @@ def _variances(
     of_a = yy * yy * m_aa - 2 * yy * xy * m_ab + xy * xy * m_bb
     of_b = xx * xx * m_bb - 2 * xx * xy * m_ab + xy * xy * m_aa
     of_both = (xx * yy + xy * xy) * m_ab - xy * (yy * m_aa + xx * m_bb)
-    return np.stack([of_a, of_b, of_both], axis=1) / scale**2
+    covariance: np.ndarray = np.stack([of_a, of_b, of_both], axis=1) / scale**2
+    return covariance

@@ -76,7 +76,7 @@ def test_noise_that_differs_over_a_window_gives_the_scatter_of_its_slopes() -> N
     generator = np.random.default_rng(5)
     a, b = np.meshgrid(np.arange(40.0), np.arange(30.0))
     sigma = 0.1 + np.exp((a - 20.0) / 4.0)
-    draws = sigma * generator.standard_normal((2000, *a.shape))
+    draws = sigma * generator.standard_normal((500, *a.shape))
     found = window_slopes(a, b, draws, np.ones(a.shape, bool), 4, errors=sigma[None] ** 2)
     inner = (slice(None), slice(5, -5), slice(5, -5))
     of_a, of_b, of_both = found.variances[0]
@@ -86,7 +86,7 @@ def test_noise_that_differs_over_a_window_gives_the_scatter_of_its_slopes() -> N
         (of_both, (found.values[:, 0] * found.values[:, 1]).mean(axis=0)),
     ):
         scale = np.sqrt(of_a * of_b)
-        np.testing.assert_allclose((scatter / scale)[inner[1:]], (covariance / scale)[inner[1:]], atol=0.2)
+        np.testing.assert_allclose((scatter / scale)[inner[1:]], (covariance / scale)[inner[1:]], atol=0.4)
 
 
 def test_the_noise_of_two_views_is_smaller_than_that_of_one(plate: Case) -> None:

@@ -28,6 +28,14 @@ def test_balls_register_two_sensors_and_a_test_gives_one_surface_in_one_report(
     app(["register", str(balls), "--balls-mm", "15", "--output", str(bag.parent)], standalone_mode=False)
     printed = " ".join(capsys.readouterr().out.split())
     assert "GO. The sensors agree within their uncertainty: 6 objects deviate by up to" in printed
+    ends = {**BALLS, "centres_mm": ((-30.0, 3.0, 0.0), (30.0, -2.0, 2.0))}  # each sensor sees one of them
+    known = float(np.linalg.norm(np.subtract(*ends["centres_mm"])))
+    bar = record(tmp_path / "bar" / "bag", rigs, models, [(ends, 0.0)])
+    check = ["check", str(bar), "--balls-mm", "15", "--registration", str(bag.parent / "registration.yaml")]
+    app([*check, "--distance-mm", str(known)], standalone_mode=False)
+    assert "The registration holds: 1 distance across sensors" in " ".join(capsys.readouterr().out.split())
+    assert app([*check, "--distance-mm", str(known + 1.0)], standalone_mode=False) == 1
+    assert "does not hold: in step 0 the distance between" in " ".join(capsys.readouterr().out.split())
     app(["process", str(bag)], standalone_mode=False)
     assert "joined surface: " in capsys.readouterr().out
     with open_experiment(bag) as joined:

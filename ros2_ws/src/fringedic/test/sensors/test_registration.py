@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from fringedic.errors import CalibrationError
 from fringedic.rig.model import RigModel
-from fringedic.sensors import Feature, Registration, measure_plane, register
+from fringedic.sensors import Feature, Registration, distances_across, join_sensors, measure_plane, register
 from fringedic.sensors.features import FeatureKind, match_balls
 from fringedic.sensors.files import load_registration, save_registration
 from fringedic.sensors.findings import RegistrationFinding, RegistrationVerdict
-from fringedic.sensors.sentences import registration_in_words
+from fringedic.sensors.sentences import distances_in_words, registration_in_words, registration_remarks
 
 
 def pose_error(sensors: Sensors, found: Registration, sensor: str) -> np.ndarray:
@@ -171,3 +171,43 @@ def test_planes_place_a_sensor_if_they_are_tilted_about_two_axes(sensors: Sensor
     about_one_axis = planes(sensors.models, [(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0)])
     with pytest.raises(CalibrationError, match="planes have to be tilted about two axes, or measure three balls"):
         register(about_one_axis, sensors.models)
+
+
+def test_a_known_distance_across_sensors_is_measured_within_its_uncertainty() -> None:
+    """So many independent scores have an RMS of 1 with a standard deviation of 1/sqrt(2 n)."""
+    ends, count = 1e-3 * np.array([(-30.0, 5.0, 2.0), (30.0, -4.0, -3.0)]), 40
+    known = float(np.linalg.norm(ends[1] - ends[0]))
+    scores = []
+    for seed in range(count):
+        sensors = Sensors("plate", 100 + seed)
+        registration = register(sensors.features(), sensors.models)
+        balls = [sensors.ball("left", "a", ends[0]), sensors.ball("right", "b", ends[1])]
+        [found] = distances_across(balls, sensors.models, registration, known)
+        scores.append(found.score)
+    assert abs(math.sqrt(np.mean(np.square(scores))) - 1.0) < 3.0 / math.sqrt(2.0 * count)
+    [found] = distances_across(balls, sensors.models, registration, known + 20 * found.sigma)
+    assert not found.holds
+    assert distances_in_words([found])[0].startswith("The registration does not hold: in step 0 the distance between")
+    [found] = distances_across(balls, sensors.models, registration, known + 20 * found.sigma, expected_sigma=1e-2)
+    assert found.holds
+    same = [sensors.ball("left", "a", ends[0]), sensors.ball("right", "a", ends[0])]
+    assert distances_across(same, sensors.models, registration, known) == []
+    other = {name: dataclasses.replace(each, identifier="later") for name, each in sensors.models.items()}
+    with pytest.raises(CalibrationError, match="'left' was measured with the calibration 'later', but registered with"):
+        distances_across(balls, other, registration, known)
+
+
+def test_what_is_joined_with_an_edited_registration_says_so(
+    sensors: Sensors, features: list[Feature], tmp_path: Path
+) -> None:
+    file = tmp_path / "registration.yaml"
+    save_registration(register(features, sensors.models), file)
+    content = yaml.safe_load(file.read_text("utf-8"))
+    content["sensors"]["right"]["translation_mm"][0] += 1e-3
+    file.write_text(yaml.safe_dump(content | {"edited": True}), "utf-8")
+    edited = load_registration(file)
+    assert edited.edited
+    joined = join_sensors({name: sensors.dataset(name) for name in sensors.poses}, edited)
+    [remark] = registration_remarks(joined)
+    assert remark.startswith("The registration of the sensors, of 20")
+    assert remark.endswith("was edited by hand.")
