@@ -94,7 +94,7 @@ def _calibrate_with_nodes(
     epilog="Examples: fringedic check plate.yaml --distance-mm 5; "
     "fringedic check recordings/bar/bag --balls-mm 10 --distance-mm 80.002",
 )
-def check(
+def check(  # noqa: PLR0913 (options of a command)
     context: typer.Context,
     rig: Rig,
     distance_mm: Annotated[

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fringedic.errors import ConfigurationError
-from fringedic.frames.sensor import JOINED, SENSOR, sensor_name
+from fringedic.frames.sensor import SENSOR, sensor_name
 from fringedic.wording.arguments import check_value
 
 SENSORS, REGISTRATION = "sensors", "registration"
@@ -53,7 +53,7 @@ def names_of_sensors(content: Mapping[str, Any], source: str) -> list[str]:
         )
     for name, own in sensors.items():
         check_value(ConfigurationError, f"{source}: sensors: the name of a sensor", name, sensor_name)
-        if name in (SENSOR, JOINED):
+        if name == SENSOR:
             raise ConfigurationError(
                 f"{source}: sensors.{name}: this name has another meaning in files and datasets; choose another one"
             )

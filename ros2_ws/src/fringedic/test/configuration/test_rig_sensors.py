@@ -67,7 +67,7 @@ def test_one_sensor_is_chosen_by_its_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("  left:", "  joined:", "sensors.joined: this name has another meaning"),
+        ("  left:", "  joined:", "it has to be another name than 'joined'"),
         ("  left:", "  sensor:", "sensors.sensor: this name has another meaning"),
         ("  left:", "  le-ft:", "the name of a sensor is 'le-ft': it has to be a name of letters"),
         ("    sequence:", "    load_frame:", "sensors.right.load_frame: is no section of one sensor"),

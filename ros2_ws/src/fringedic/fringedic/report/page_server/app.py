@@ -420,7 +420,10 @@ class _Site:
 
     def _offer_wheel(self, *clients: Client) -> None:
         for client in clients:
-            client.put("wheel", lambda client=client: _message("wheel", self._wheel.seen_by(client.session)))
+            client.put("wheel", functools.partial(self._wheel_message, client.session))
+
+    def _wheel_message(self, session: str) -> str:
+        return _message("wheel", self._wheel.seen_by(session))
 
     def _topics(self) -> dict[str, str]:
         """Return the message of each topic; only changed ones are made, as a comparison costs a tenth."""
