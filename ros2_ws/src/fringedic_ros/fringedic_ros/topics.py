@@ -10,8 +10,9 @@ CALIBRATION = "calibration"
 NODE_PARAMETERS = "node_parameters"
 IMAGE = "camera/image_raw"
 EXPOSURE = "camera/exposure"
+LOAD_STATE = "load_frame/state"
 
-SAMPLE_TOPICS = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states")
+SAMPLE_TOPICS = (LOAD_STATE, "load_frame/wrench", "load_frame/joint_states")
 
 # All inputs of the results: a test can be evaluated again from these topics alone.
 RAW_TOPICS = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,11 +14,11 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
 from fringedic.steps.recorded_references import REFERENCE_TOPICS, RecordedReferences
-from fringedic_msgs.msg import Exposure, Reference, RigCalibration, StepStatus
+from fringedic_msgs.msg import Exposure, LoadState, Reference, RigCalibration, StepStatus
 from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.serialized import header_stamp, read
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
+from fringedic_ros.topics import CALIBRATION, EXPOSURE, IMAGE, LOAD_STATE, STEP
 
 # Topics whose messages concern one step only.
 OF_ONE_STEP = (IMAGE, "camera/camera_info", EXPOSURE, STEP)
@@ -69,7 +69,7 @@ class RecordedStep:
 
 
 def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
-    """Yield messages under relative names; calibrations and records of older definitions become present ones.
+    """Yield messages under relative names; those of older definitions become present ones.
 
     References are those of `RecordedReferences`: a step that took the place of one that the nodes had lost is none.
 
@@ -89,17 +89,33 @@ def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawM
             reference = references.take(name, recorded)
             if reference is not None:
                 data = serialize_message(reference_message(recorded, reference))
-        if name in (CALIBRATION, EXPOSURE) and topic.hash != type_hash(topic.type_name):
-            recorded = bag.decode(message.topic, data)
-            frame = recorded.header.frame_id
-            present: RigCalibration | Exposure
-            if name == CALIBRATION:
-                model = RigModel.from_message(recorded)
-                present = calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame)
-            else:
-                present = exposure_message(frame_record(recorded), frame_id=frame)
-            data = serialize_message(present)
+        if name in _PRESENT and topic.hash != type_hash(topic.type_name):
+            data = serialize_message(_PRESENT[name](bag.decode(message.topic, data)))
         yield message._replace(topic=name, data=data)
+
+
+def _present_calibration(recorded: Any) -> RigCalibration:
+    model = RigModel.from_message(recorded)
+    return calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=recorded.header.frame_id)
+
+
+def _present_exposure(recorded: Any) -> Exposure:
+    return exposure_message(frame_record(recorded), frame_id=recorded.header.frame_id)
+
+
+def _present_load(recorded: Any) -> LoadState:
+    message = LoadState(mode=recorded.mode, force=recorded.force, position=recorded.position, reason=recorded.reason)
+    message.header.stamp = to_msg(stamp_of(recorded))
+    message.header.frame_id = recorded.header.frame_id
+    return message
+
+
+_PRESENT: dict[str, Callable[[Any], RigCalibration | Exposure | LoadState]] = {
+    CALIBRATION: _present_calibration,
+    EXPOSURE: _present_exposure,
+    LOAD_STATE: _present_load,
+}
+"""Messages whose definition has changed, from one of an earlier definition."""
 
 
 def reference_message(recorded: Any, step: int) -> Reference:

@@ -1,4 +1,4 @@
-"""Recordings without distortion of the camera: their calibration is played in the present definition."""
+"""Recordings of older versions: their messages are played in the present definitions."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fringedic.recording.decoding import decode
 from fringedic.recording.definitions import interface_definition
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
@@ -15,8 +16,10 @@ from fringedic.recording.writer import BagWriter
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import RigCalibration
+from fringedic_ros.topics import RAW_TOPICS
 from player_node.recorded_steps import recorded_messages
 
+RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 KIND = "fringedic_msgs/msg/RigCalibration"
 
 
@@ -40,3 +43,13 @@ def test_a_calibration_without_distortion_fields(tmp_path: Path) -> None:
     assert message.topic == "calibration"
     assert (played.header.stamp.sec, played.header.stamp.nanosec) == (7, 8)
     assert RigModel.from_message(played) == model
+
+
+def test_messages_of_the_first_version_have_the_present_definitions() -> None:
+    bag = BagReader(RECORDED)
+    names = {full: name for name, full in bag.find_optional(*RAW_TOPICS).items()}
+    types = {name: bag.topics[full].type_name for full, name in names.items()}
+    for message in recorded_messages(bag, names):
+        kind = types[message.topic]
+        if kind.startswith("fringedic_msgs/"):
+            decode(Topic("", kind, interface_definition(kind), "ros2msg", "", ""), message.data, RECORDED)

@@ -39,6 +39,11 @@ def _translate_exposure(message: Any) -> None:
         message.image_crc = 0
 
 
+def _translate_load(message: Any) -> None:
+    if not hasattr(message, "reason"):
+        message.reason = ""
+
+
 def _translate_reference(message: Any) -> None:
     """State that it is not known whether it took the place of a lost one: the starts of the nodes decide."""
     if not hasattr(message, "previous_lost"):
@@ -85,6 +90,7 @@ def _correction(text: str) -> Any:
 
 _TRANSLATIONS: dict[str, Callable[[Any], None]] = {
     "fringedic_msgs/msg/Exposure": _translate_exposure,
+    "fringedic_msgs/msg/LoadState": _translate_load,
     "fringedic_msgs/msg/NodeStatus": _translate_status,
     "fringedic_msgs/msg/Reference": _translate_reference,
     "fringedic_msgs/msg/StepStatus": _translate_step,
