@@ -12,7 +12,8 @@ import yaml
 
 from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
 from fringedic.configuration.sections import ReferencePlaneSection
-from fringedic.configuration.yaml_section import validate
+from fringedic.configuration.sensors_section import names_of_sensors
+from fringedic.configuration.yaml_section import read_sections, validate
 from fringedic.errors import ConfigurationError
 from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
@@ -36,7 +37,8 @@ def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
     Raises
     ------
     ConfigurationError
-        The settings are no YAML of keys, or the changed file would not be valid; nothing is changed then.
+        The settings are no YAML of keys, the file has several sensors, or the changed file would not be valid; nothing
+        is changed then.
 
     Examples
     --------
@@ -54,7 +56,7 @@ def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
         raise ConfigurationError(f"settings: {error}") from error
     if not isinstance(changes, dict) or not changes:
         raise ConfigurationError("settings: are not 'key: value'; write for example camera: {settle_ms: 20}")
-    load_rig_file(file)
+    _require_rig_of_one_sensor(file)
     text = file.read_text("utf-8")
     candidate = file.with_name(f".{file.stem}.candidate{file.suffix}")  # beside it, for its relative paths
     try:
@@ -83,7 +85,7 @@ def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any
     Raises
     ------
     ConfigurationError
-        The file cannot be read, or would not be valid with these values.
+        The file cannot be read, has several sensors, or would not be valid with these values.
 
     Examples
     --------
@@ -93,12 +95,22 @@ def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any
     >>> load_changed_rig_file(file, {"sequence.shifts": 8}).sequence.shifts
     [8]
     """
-    load_rig_file(path)
+    _require_rig_of_one_sensor(Path(path))
     content = load_yaml(Path(path).read_text("utf-8"))
     for name, value in values.items():
         section, key = name.split(".")
         content = _merged(content, {section: {key: value}})
     return validate(RigFile, content, str(path), REPLACED_KEYS, folder=Path(path).parent)
+
+
+def _require_rig_of_one_sensor(file: Path) -> None:
+    """Check that a rig file is valid and has one sensor: a changed section would be that of all, or of none."""
+    if names := names_of_sensors(read_sections(file, RigFile), str(file)):
+        raise ConfigurationError(
+            f"{file}: has the sensors {', '.join(names)}, and this is possible for one only: write the sections of "
+            f"{names[0]} and those of all at the top of a file of its own"
+        )
+    load_rig_file(file)
 
 
 def _merged(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

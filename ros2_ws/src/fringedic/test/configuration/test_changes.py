@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fringedic.configuration.changes import change_rig_file
+from fringedic.configuration.changes import change_rig_file, load_changed_rig_file
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 
@@ -46,3 +46,15 @@ def test_wrong_settings_change_nothing(rig: Path, settings: str, words: str) -> 
         change_rig_file(rig, settings)
     assert rig.read_text() == TEXT
     assert [path.name for path in rig.parent.iterdir()] == [rig.name]
+
+
+def test_a_file_of_several_sensors_is_refused_without_an_option_that_is_not_there(rig: Path) -> None:
+    own = "{{virtual_rig: {{arrangement: plate, place: {0}, size: tiny}}}}"
+    text = f"camera: {{source: virtual}}\nsensors:\n  left: {own.format('left')}\n  right: {own.format('right')}\n"
+    rig.write_text(text)
+    words = "rig.yaml: has the sensors left, right, and this is possible for one only: .* top of a file of its own$"
+    with pytest.raises(ConfigurationError, match=words):
+        change_rig_file(rig, "camera: {settle_ms: 20}")
+    with pytest.raises(ConfigurationError, match=words):
+        load_changed_rig_file(rig, {"plan.angle_degree": 35.0})
+    assert rig.read_text() == text
