@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fringedic.configuration import RigSensors, load_rig_file, load_rig_sensors
 from fringedic.configuration.rig_file import fitting_calibration
 from fringedic.errors import ConfigurationError
+from fringedic.virtual_rig import VirtualRig
 
 TWO = """
 camera: {source: virtual, exposure_ms: 12}
@@ -50,6 +53,18 @@ def test_each_sensor_has_the_common_sections_and_its_own(tmp_path: Path) -> None
     assert x == [-19.0, 19.0]
     assert load_rig_file(file, sensor="right") == right
     assert load_rig_sensors(file, sensor="right") == RigSensors((right,))
+
+
+def test_the_calibration_of_a_virtual_sensor_contains_both_lenses(tmp_path: Path) -> None:
+    """The true phase gives the true height: what a run deviates from it is noise."""
+    for rig in load_rig_sensors(write(tmp_path, TWO)).rigs:
+        twin = VirtualRig(rig.virtual_configuration())
+        columns = twin.view(0.0).projector_column - (twin.projector_shape[1] - 1) / 2
+        assert rig.rig_model is not None
+        height = rig.rig_model.reconstruct(2 * math.pi / 5.0 * columns, 5.0)["z"]
+        error = (height - twin.truth(0.0)["z"]).values
+        assert np.isfinite(error).mean() > 0.5
+        assert np.nanmax(np.abs(error)) < 1e-9
 
 
 def test_one_sensor_is_chosen_by_its_name(tmp_path: Path) -> None:
