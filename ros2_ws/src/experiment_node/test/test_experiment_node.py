@@ -1018,9 +1018,11 @@ def test_a_node_that_appears_beside_its_predecessor_while_connections_are_awaite
     rig.destroy_publisher(publisher)
     rig.statuses["phase"] = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
     rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
+    rig.reaches_all = False  # until the successor is there
     running = rig.request()
     successor = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
     rig.meet("experiment")
+    rig.reaches_all = True
     rig.serve(3.0)
     assert not rig.captured
     rig.destroy_publisher(successor)

@@ -212,7 +212,7 @@ def test_command_runs_without_ros(name: str, outcomes: dict[str, Outcome]) -> No
         assert "RecordingError" in outcome.error
         assert "experiment/plane" in outcome.error
     elif name == "register":
-        assert "contains the sensor sensor only: a registration needs a recording of two or more" in outcome.error
+        assert "contains the sensor sensor only: a recording of two or more sensors is needed" in outcome.error
     elif name == "audit":  # an earlier version has signed nothing at the end of this run
         assert (outcome.code, outcome.output.splitlines()[-1].split(":")[0]) == (1, "verdict")
     else:

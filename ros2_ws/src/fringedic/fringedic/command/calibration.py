@@ -91,7 +91,7 @@ def _calibrate_with_nodes(
 
 @app.command(
     rich_help_panel=SET_UP,
-    epilog="Examples: fringedic check plate.yaml --distance-mm 5; "
+    epilog="Example: fringedic check plate.yaml --distance-mm 5; of several sensors: "
     "fringedic check recordings/bar/bag --balls-mm 10 --distance-mm 80.002",
 )
 def check(  # noqa: PLR0913 (options of a command)
