@@ -395,6 +395,7 @@ def test_a_double_click_on_a_button_that_another_one_replaces_is_one(page: Page,
     """The second press of a double click on "Ask for the wheel" handed the wheel over again."""
     with opened(browser, f"{site.origin}/?token={TOKEN}") as other:
         other.set_default_timeout(SHOWN_MS)
+        expect(other.locator("#ask")).to_be_visible()  # connected: whoever connects later would drive
         page.click("#give")
         expect(other.locator("#wheel")).to_contain_text("Nobody drives")
         click_in_place(other, "#ask", 1)
