@@ -14,6 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from fringedic.errors import NodeDiedError, RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind
 from fringedic_bringup.client import START_TIMEOUT_S, RigClient
+from fringedic_bringup.launch.graph import own_name, sensor_of_node
 from fringedic_bringup.launch.readiness import RECORDER
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.srv import ShowPattern
@@ -86,7 +87,7 @@ class SensorsClient(RigClient):
 
     def of_node(self, name: str) -> RigClient:
         """Return the client of the sensor that a node belongs to, or this one for a node of the rig."""
-        return self._parts.get(name.rpartition("/")[0], self)
+        return self._parts.get(sensor_of_node(name), self)
 
     @property
     def reference(self) -> int:
@@ -102,7 +103,7 @@ class SensorsClient(RigClient):
         names = list(nodes)
         super().wait_until_ready([each for each in names if self.of_node(each) is self], timeout_s)
         for sensor, part in self._parts.items():
-            own = [each.rpartition("/")[2] for each in names if each.startswith(f"{sensor}/")]
+            own = [own_name(each) for each in names if sensor_of_node(each) == sensor]
             recorder = [self._recorder_name] if RECORDER in names else []
             part.wait_until_ready([*own, *recorder], timeout_s)
 
@@ -110,7 +111,7 @@ class SensorsClient(RigClient):
         """Wait for nodes that were started again, see `RigClient.wait_until_started`."""
         super().wait_until_started({name: at for name, at in since_ns.items() if self.of_node(name) is self}, timeout_s)
         for sensor, part in self._parts.items():
-            own = {name.rpartition("/")[2]: at for name, at in since_ns.items() if name.startswith(f"{sensor}/")}
+            own = {own_name(name): at for name, at in since_ns.items() if sensor_of_node(name) == sensor}
             part.wait_until_started(own, timeout_s)
 
     def measure(
@@ -252,4 +253,4 @@ def nodes_to_watch(names: Collection[str], sensor: str | None) -> Collection[str
     """
     if sensor is None:
         return None
-    return [name for name in names if name.rpartition("/")[0] in ("", sensor)]
+    return [name for name in names if sensor_of_node(name) in ("", sensor)]

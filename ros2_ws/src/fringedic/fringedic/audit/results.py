@@ -24,7 +24,7 @@ from fringedic.datasets.processing import DATASETS, process_bag
 from fringedic.datasets.quantities import ATTACHMENTS, CLOSURES
 from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import FringedicError
-from fringedic.evidence.log import Entry
+from fringedic.evidence.log import CALIBRATION_SOURCE, CALIBRATION_SOURCES, Entry
 from fringedic.frames.sensor import JOINED
 from fringedic.provenance import differences, processor, software_identity
 from fringedic.recording.bag_files import BAG
@@ -32,7 +32,6 @@ from fringedic.rig.model import RigModel
 from fringedic.signals import attachment_digests
 from fringedic.wording.numbers import counted, number_text
 
-_FILES_OF_SENSORS = "calibration_files"
 _SHOWN = 5  # differences in a sentence
 _CHANGED = "the results were changed; or the software was, without its commit saying so"
 PHASE_CHECK = "phase_closure"
@@ -130,7 +129,7 @@ def differences_words(found: Sequence[Difference]) -> str:
 
 def sensors_of(entries: Sequence[Entry]) -> list[str]:
     """Return the names of the sensors of a run that had several."""
-    return list(dict.fromkeys(name for entry in entries for name in entry.details.get(_FILES_OF_SENSORS, {})))
+    return list(dict.fromkeys(name for entry in entries for name in entry.details.get(CALIBRATION_SOURCES, {})))
 
 
 def check_calibration_file(run: Path, entries: Sequence[Entry], sensor: str = "") -> tuple[Part, Path | None]:
@@ -144,7 +143,7 @@ def check_calibration_file(run: Path, entries: Sequence[Entry], sensor: str = ""
     if not files:
         return Part(part, Result.NOTE, "the run has none; displacements are in pixels"), None
     given = [
-        entry.details.get(_FILES_OF_SENSORS, {}).get(sensor) if sensor else entry.details.get("calibration_file")
+        entry.details.get(CALIBRATION_SOURCES, {}).get(sensor) if sensor else entry.details.get(CALIBRATION_SOURCE)
         for entry in entries
     ]
     named = [file for file in given if file]

@@ -105,7 +105,7 @@ def process(  # noqa: PLR0913 (options of a command)
 
     def join_all(place: str, bag: Path, sensors: list[str], poses: Path) -> None:
         from fringedic.sensors import join_recording
-        from fringedic.sensors.sentences import overlap_sentence, registration_remarks, sensor_error_sentences
+        from fringedic.sensors.sentences import joined_sentences
 
         for each in sensors:
             say(f"sensor {each}")
@@ -115,8 +115,8 @@ def process(  # noqa: PLR0913 (options of a command)
                 say(f"sensor {each}: {error}")
         written = join_recording(bag, poses, overwrite=overwrite)
         with open_experiment(written) as dataset:
-            sentences = [overlap_sentence(dataset), *registration_remarks(dataset), *sensor_error_sentences(dataset)]
-        say(f"joined surface: {written}", *filter(None, sentences), next_reading(written))
+            sentences = joined_sentences(dataset)
+        say(f"joined surface: {written}", *sentences, next_reading(written))
 
     def measure(place: str, bag: Path, sensor: str | None) -> None:
         reader = BagReader(bag, sensor=sensor)

@@ -16,7 +16,7 @@ from fringedic.errors import DatasetError, EvidenceError
 from fringedic.evaluation import compare_with_truth, open_truth
 from fringedic.evaluation.truth import TRUTH
 from fringedic.evidence.changes import begin_log, noted
-from fringedic.evidence.log import has_log
+from fringedic.evidence.log import CALIBRATION_SOURCE, CALIBRATION_SOURCES, has_log
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.sensor import file_of
 from fringedic.recording.frames import frame_losses
@@ -26,10 +26,6 @@ from fringedic.signals import FORCE
 
 RUN = "run"
 """Action of the first entry of the log of a run that was signed at its end."""
-CALIBRATION_SOURCE = "calibration_file"
-"""Detail of that entry: file of the calibration that the rig file named."""
-CALIBRATION_SOURCES = "calibration_files"
-"""The same of several sensors, by their names."""
 REPORT = "report.html"
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
@@ -113,13 +109,13 @@ def write_joined_results(folder: Path) -> tuple[Path, list[str]]:
     """
     from fringedic.sensors import join_recording
     from fringedic.sensors.files import REGISTRATION_FILE
-    from fringedic.sensors.sentences import overlap_sentence, sensor_error_sentences
+    from fringedic.sensors.sentences import joined_sentences
 
     joined = join_recording(folder / "bag", folder / REGISTRATION_FILE, overwrite=True)
     with open_experiment(joined) as dataset:
-        words = [overlap_sentence(dataset), *sensor_error_sentences(dataset)]
+        words = joined_sentences(dataset)
     write_report(joined, folder / REPORT, overwrite=True)
-    return joined, list(filter(None, words))
+    return joined, words
 
 
 def sign_results(

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
+from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file, rig_of_content
 from fringedic.configuration.sections import ReferencePlaneSection
 from fringedic.configuration.sensors_section import names_of_sensors
 from fringedic.configuration.yaml_section import read_sections, validate
@@ -56,7 +56,7 @@ def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
         raise ConfigurationError(f"settings: {error}") from error
     if not isinstance(changes, dict) or not changes:
         raise ConfigurationError("settings: are not 'key: value'; write for example camera: {settle_ms: 20}")
-    _require_rig_of_one_sensor(file)
+    _content_of_one_sensor(file)
     text = file.read_text("utf-8")
     candidate = file.with_name(f".{file.stem}.candidate{file.suffix}")  # beside it, for its relative paths
     try:
@@ -95,22 +95,23 @@ def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any
     >>> load_changed_rig_file(file, {"sequence.shifts": 8}).sequence.shifts
     [8]
     """
-    _require_rig_of_one_sensor(Path(path))
-    content = load_yaml(Path(path).read_text("utf-8"))
+    content = _content_of_one_sensor(Path(path))
     for name, value in values.items():
         section, key = name.split(".")
         content = _merged(content, {section: {key: value}})
     return validate(RigFile, content, str(path), REPLACED_KEYS, folder=Path(path).parent)
 
 
-def _require_rig_of_one_sensor(file: Path) -> None:
-    """Check that a rig file is valid and has one sensor: a changed section would be that of all, or of none."""
-    if names := names_of_sensors(read_sections(file, RigFile), str(file)):
+def _content_of_one_sensor(file: Path) -> dict[str, Any]:
+    """Return the content of a valid rig file of one sensor; of several, a change would be that of all, or of none."""
+    content = read_sections(file, RigFile)
+    if names := names_of_sensors(content, str(file)):
         raise ConfigurationError(
             f"{file}: has the sensors {', '.join(names)}, and this is possible for one only: write the sections of "
             f"{names[0]} and those of all at the top of a file of its own"
         )
-    load_rig_file(file)
+    rig_of_content(content, file, None, str(file))
+    return content
 
 
 def _merged(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -317,18 +317,19 @@ def load_rig_file(path: str | os.PathLike[str], *, sensor: str | None = None) ->
     (160, 120)
     """
     file = Path(path)
-    sections = sections_of_sensor(read_sections(file, RigFile), str(file), sensor)
-    return checked_rig(validate(RigFile, sections, str(file), REPLACED_KEYS, folder=file.parent), str(file))
+    return rig_of_content(read_sections(file, RigFile), file, sensor, str(file))
 
 
-def checked_rig(rig: RigFile, source: str) -> RigFile:
-    """Return a rig after a check of what its sections name: sizes, the virtual rig and the calibration.
+def rig_of_content(content: Mapping[str, Any], file: Path, sensor: str | None, where: str) -> RigFile:
+    """Return the rig, or that of one of several sensors, in the content of a file; see `load_rig_file`.
 
     Raises
     ------
     ConfigurationError
-        One of them cannot be used; the message begins with `source`.
+        As of `load_rig_file`; the message about a section, or what it names, begins with `where`.
     """
+    sections = sections_of_sensor(content, str(file), sensor)
+    rig = validate(RigFile, sections, where, REPLACED_KEYS, folder=file.parent)
     try:
         rig.camera_size()
         rig.projector_size()
@@ -336,7 +337,7 @@ def checked_rig(rig: RigFile, source: str) -> RigFile:
             rig.virtual_configuration()
         rig.rig_model  # noqa: B018 (its file is read at the door)
     except FringedicError as error:
-        raise ConfigurationError(f"{source}: {error}") from error
+        raise ConfigurationError(f"{where}: {error}") from error
     return rig
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, checked_rig, load_rig_file
-from fringedic.configuration.sensors_section import REGISTRATION, names_of_sensors, sections_of_sensor
-from fringedic.configuration.yaml_section import read_sections, validate
+from fringedic.configuration.rig_file import RigFile, rig_of_content
+from fringedic.configuration.sensors_section import REGISTRATION, names_of_sensors
+from fringedic.configuration.yaml_section import read_sections
 from fringedic.errors import ConfigurationError
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
@@ -75,12 +75,8 @@ def load_rig_sensors(path: str | os.PathLike[str], sensor: str | None = None) ->
     content = read_sections(source, RigFile)
     names = [] if sensor is not None else names_of_sensors(content, str(source))
     if not names:
-        return RigSensors((load_rig_file(source, sensor=sensor),))
-    rigs = []
-    for name in names:
-        sections = sections_of_sensor(content, str(source), name)
-        where = f"{source}: sensor {name}"
-        rigs.append(checked_rig(validate(RigFile, sections, where, REPLACED_KEYS, folder=source.parent), where))
+        return RigSensors((rig_of_content(content, source, sensor, str(source)),))
+    rigs = [rig_of_content(content, source, name, f"{source}: sensor {name}") for name in names]
     _require_own_devices(rigs, source)
     return RigSensors(tuple(rigs), _registration(content.get(REGISTRATION), source))
 

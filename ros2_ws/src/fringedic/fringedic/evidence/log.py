@@ -30,6 +30,10 @@ PUBLIC_KEY = "evidence.pem"
 OF_THE_LOG = {LOG, SIGNATURE, PUBLIC_KEY}
 """Names of the files that the log does not list, because they contain it, its signature and the key of that."""
 TIME_STAMP = "time stamp"
+CALIBRATION_SOURCE = "calibration_file"
+"""Detail of the entry of a run: file of the calibration that the rig file named."""
+CALIBRATION_SOURCES = "calibration_files"
+"""The same of several sensors, by their names."""
 
 
 class Change(NamedTuple):

@@ -33,12 +33,12 @@ def registration_for(file: Path, models: Mapping[str, RigModel | None]) -> Regis
             f"{file}: contains the sensors {', '.join(sorted(known))}, the rig file has {', '.join(sorted(models))}: "
             "register the sensors of this rig"
         )
+    identifiers = {}
     for name, model in models.items():
         if model is None:
             raise CalibrationError(f"{file}: the sensor '{name}' has no calibration in the rig file; add it")
-        if known[name] == model.identifier:
-            continue
-        other = next((each for each, identifier in known.items() if identifier == model.identifier), None)
+        identifiers[name] = model.identifier
+    for name, other in registration.other_calibrations(identifiers):
         raise CalibrationError(
             f"{file}: the sensor '{name}' was registered with another calibration, which has another frame: register "
             "the sensors again"

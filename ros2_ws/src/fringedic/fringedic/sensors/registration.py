@@ -10,7 +10,7 @@ calibrations: the latter is needed for the uncertainty of a distance between poi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -132,20 +132,26 @@ class Registration:
             One of them.
         """
         self.require_poses(identifiers)
-        for name, identifier in identifiers.items():
-            registered = self.calibrations[name]
-            if identifier == registered:
-                continue
-            other = next((each for each, known in self.calibrations.items() if known == identifier), None)
+        for name, other in self.other_calibrations(identifiers):
             if other is not None:
                 raise CalibrationError(
                     f"the sensor '{name}' was measured with the calibration of '{other}': the cameras or the "
                     f"calibration files of '{name}' and '{other}' are exchanged; exchange them back in the rig file"
                 )
             raise CalibrationError(
-                f"the sensor '{name}' was measured with the calibration '{identifier}', but registered with "
-                f"'{registered}', which has another frame: register the sensors again with the calibrations in use"
+                f"the sensor '{name}' was measured with the calibration '{identifiers[name]}', but registered with "
+                f"'{self.calibrations[name]}', which has another frame: register the sensors again with the "
+                "calibrations in use"
             )
+
+    def other_calibrations(self, identifiers: Mapping[str, str]) -> Iterator[tuple[str, str | None]]:
+        """Yield the sensors whose calibration is another than the registered one.
+
+        Each comes with the sensor that was registered with this calibration, or None.
+        """
+        for name, identifier in identifiers.items():
+            if self.calibrations[name] != identifier:
+                yield name, next((each for each, known in self.calibrations.items() if known == identifier), None)
 
     def require_poses(self, sensors: Iterable[str]) -> None:
         """Refuse sensors without a pose (`CalibrationError`)."""

@@ -137,6 +137,12 @@ def registration_remarks(dataset: xr.Dataset) -> list[str]:
     return found
 
 
+def joined_sentences(dataset: xr.Dataset) -> list[str]:
+    """Return the sentences about a joined surface: its overlap, its registration and the parts that are missing."""
+    found = [overlap_sentence(dataset), *registration_remarks(dataset), *sensor_error_sentences(dataset)]
+    return list(filter(None, found))
+
+
 def sensor_error_sentences(dataset: xr.Dataset) -> list[str]:
     """Return one sentence for each part of a step that a sensor did not measure."""
     errors = json.loads(dataset.attrs.get(SENSOR_ERRORS, "{}"))

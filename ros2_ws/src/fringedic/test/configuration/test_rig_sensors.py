@@ -1,4 +1,4 @@
-"""Rig files of several sensors: what people write, and what they are told when it is wrong."""
+"""Rig files of several sensors: their content, and the errors about content that is not valid."""
 
 from __future__ import annotations
 

@@ -44,6 +44,16 @@ SHARED = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states", "l
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
 
 
+def sensor_of_node(name: str) -> str:
+    """Return the name of the sensor of several to which a node belongs; empty for a node of the whole rig."""
+    return name.rpartition("/")[0]
+
+
+def own_name(name: str) -> str:
+    """Return the name of a node without that of its sensor."""
+    return name.rpartition("/")[2]
+
+
 @dataclass(frozen=True)
 class NodeEntry:
     """One node, started as by ``ros2 run package executable``, with its name and parameters.
@@ -74,12 +84,12 @@ class NodeEntry:
     @property
     def own_name(self) -> str:
         """Name without that of the sensor."""
-        return self.name.rpartition("/")[2]
+        return own_name(self.name)
 
     @property
     def sensor(self) -> str:
         """Name of the sensor among several; empty for a node of the whole rig."""
-        return self.name.rpartition("/")[0]
+        return sensor_of_node(self.name)
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""

@@ -146,11 +146,10 @@ class RunningGraph:
             The message contains the end of the node's log; that about a named node its path.
         """
         for name, how in self.dead().items():
-            if names is not None:
-                if name in names:
-                    raise NodeDiedError(f"{name} {how} (see {self.log(name)})")
-                continue
-            raise NodeDiedError(f"{name} {how}. The end of {self.log(name)}:\n{self.log_tail(name)}")
+            if names is None:
+                raise NodeDiedError(f"{name} {how}. The end of {self.log(name)}:\n{self.log_tail(name)}")
+            if name in names:
+                raise NodeDiedError(f"{name} {how} (see {self.log(name)})")
 
     def log_tail(self, name: str, lines: int = 20) -> str:
         """Return the last lines of a node's log."""

@@ -39,7 +39,7 @@ from fringedic.recording.bag_files import BAG
 from fringedic.signals import FORCE
 from fringedic.wording.causes import cause_of
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
-from fringedic_bringup.launch.graph import Graph
+from fringedic_bringup.launch.graph import Graph, own_name, sensor_of_node
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
 from fringedic_bringup.procedures.outcome import RunControl
@@ -598,7 +598,7 @@ class _Driver:
     def _start_again(self, death: NodeDiedError) -> None:
         """Request a hold and start the nodes that have ended again."""
         dead, self.interrupted = self._running.dead(), True
-        sensors = {name.rpartition("/")[0] for name in dead}
+        sensors = set(map(sensor_of_node, dead))
         self.sensors_again |= set(self._running.graph.sensors) if "" in sensors else sensors
         self._deaths.update(dead.keys())
         if any(self._deaths[name] > MOST_DEATHS for name in dead):
@@ -640,11 +640,6 @@ class _Driver:
         if own == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}
-
-
-def own_name(node: str) -> str:
-    """Return the name of a node without that of its sensor."""
-    return node.rpartition("/")[2]
 
 
 def _in_words(names: Iterable[str]) -> str:
