@@ -1097,3 +1097,18 @@ def test_the_page_in_another_language(browser: Browser, site: Site, rig: ShownRi
     expect(other.locator("#facts")).to_contain_text("450.5 N")
     context.close()
     assert errors == []
+
+
+def test_the_buttons_of_a_run_stay_while_its_programme_is_checked(page: Page, rig: ShownRig) -> None:
+    """The table of the steps took the place of their row, and a press that had begun was lost."""
+    view(page, "run")
+    expect(page.locator("#plan")).to_be_visible()
+    page.evaluate("() => { document.querySelector('#by-hand').isFirst = true; }")
+    page.click("#own")
+    page.fill("#programme", "")
+    expect(page.locator("#problem")).to_contain_text("Write a programme")
+    expect(page.locator("#plan")).to_have_count(0)
+    page.click("#of-file")
+    expect(page.locator("#plan")).to_be_visible()
+    assert page.evaluate("() => document.querySelector('#by-hand').isFirst"), "the button is another one"
+    assert not rig.commands

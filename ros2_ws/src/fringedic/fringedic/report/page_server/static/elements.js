@@ -52,7 +52,7 @@ export function keep(element) {
   return element;
 }
 
-// Shows these children. An element that is there already, with the same tag and id (or data-key), stays the same one and
+// Shows these children. An element that is there already, with the same tag and id (or data-key; else class), stays the same one and
 // is changed: a button that is pressed, a field that is written in and a fold that is open outlast every message.
 export function patch(place, ...children) {
   const wanted = children.filter(isShown).map((child) => standsFor.get(child) ?? (child instanceof Node ? child : document.createTextNode(child)));
@@ -72,7 +72,9 @@ export function patch(place, ...children) {
 }
 
 const key = (node) => node.id || node.dataset?.key || "";
-const isSame = (old, child) => old.nodeName === child.nodeName && key(old) === key(child) && !lasting.has(old) && !lasting.has(child);
+// Without a key the class tells a row of buttons from a table: one must not be turned into the other while a button is pressed.
+const isSame = (old, child) => old.nodeName === child.nodeName && key(old) === key(child) && !lasting.has(old) && !lasting.has(child)
+  && (key(old) || made.get(old)?.class === made.get(child)?.class);
 
 function change(old, child) {
   if (old.nodeType === Node.TEXT_NODE) {

@@ -103,7 +103,7 @@ function startParts() {
     rig.file_error ? make("p", { class: "bad", id: "file-error", lang: "en" }, rig.file_error) : null,
     ...(operated && !busy ? [...formParts(), ...programmeParts()] : []), // else the table of the steps is what one looks at
     rig.load_frame && !busy ? make("p", { class: "care" }, t("Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.")) : null,
-    make("div", { class: "row" },
+    make("div", { class: "row", "data-key": "begin" },
       button(t("Start the programme"), { class: "main", id: "run", why: cannotRun(), onclick: () => begin({ procedure: "run", text: selected() }) }),
       ended ? button(t("Go on with the last run"), { id: "go-on", why: cannotRun(), onclick: () => start({ procedure: "run", text: selected(), options: { continue_run: procedure.folder } }) }) : null,
       button(t("Measure by hand"), { id: "by-hand", why: cannotStart(), onclick: () => begin({ procedure: "by_hand" }) }),
