@@ -78,7 +78,7 @@ def test_displacements_and_their_rates_have_the_stated_errors(pulled: RecordedEx
         squares = patches.values[np.isfinite(patches.values)]
         chance = 3 * squares.std(ddof=1) / np.sqrt(squares.size)  # few intervals are few independent patches
         assert 0.9**2 - chance < squares.mean() < 1.1**2 + chance, name
-        of_an_interval = chance * np.sqrt(len(errors) - 1)  # a busy computer measures few stacks in the time of the pull
+        of_an_interval = chance * np.sqrt(len(errors) - 1)  # a busy computer measures few of them during the pull
         assert of_an_interval < 0.6, "a wrong standard deviation is found"
 
 

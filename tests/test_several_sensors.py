@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from sensor_scene import BALLS, PLACES, drawn_model, record
 
 from fringedic.audit.parts import Result
 from fringedic.audit.run import audit_run
+from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_sensors import load_rig_sensors
 from fringedic.datasets import open_experiment, process_bag
+from fringedic.errors import ConfigurationError
 from fringedic.frames.records import frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.programme_end import programme_end
@@ -24,11 +27,13 @@ from fringedic.sensors.files import save_registration
 from fringedic.sensors.recorded import Balls, register_recording
 from fringedic.virtual_rig import virtual_sensors
 from fringedic_bringup.launch.environment import private_domain
+from fringedic_bringup.procedures.continuing import recorded_steps
 from fringedic_bringup.procedures.run_sensors import SensorsReport, load_sensors, run_sensors
 from fringedic_ros.testing import node_pids
 
 SENSORS = ("left", "right")
 FAILED, LAST = 1, 2  # steps: of the killed camera, and after it
+FURTHER, FURTHER_MM = 3, 0.45  # step of a later command, and its position
 RIG = """
 camera: {source: virtual, exposure_ms: 10.0}
 projector: {source: virtual}
@@ -45,7 +50,10 @@ sensors:
     nodes: {composed: true}
 programme:
   experiment: two
-  ramp: {from_mm: 0.0, to_mm: 0.3, steps: 3, speed_mm_per_s: 5.0}
+  steps:
+    - {position_mm: 0.0, speed_mm_per_s: 5.0}
+    - {position_mm: 0.15, speed_mm_per_s: 5.0}
+    - {position_mm: 0.3, speed_mm_per_s: 5.0}
 """
 
 
@@ -164,3 +172,44 @@ def test_the_run_is_audited_with_the_calibrations_of_both(ended: tuple[SensorsRe
     assert not [part for part in parts if part.result is Result.FAILS], parts
     equal = [part.found for part in parts if part.name == "calibration"]
     assert [Path(words.rpartition(" ")[2]).stem for words in equal] == list(SENSORS)
+
+
+@pytest.mark.slow
+def test_a_later_command_goes_on_with_the_run(ended: tuple[SensorsReport, Path, list[str]], tmp_path: Path) -> None:
+    """The displacements of both sensors count from the first step, as those of the steps before."""
+    _, folder, _ = ended
+    copy = tmp_path / "two"
+    shutil.copytree(folder.parent, copy, ignore=shutil.ignore_patterns("balls"))
+    path, bag = copy / "two.yaml", copy / "run" / "bag"
+    path.write_text(f"{RIG}    - {{position_mm: {FURTHER_MM}, speed_mm_per_s: 5.0}}\n")
+    sensors, programme = load_sensors(load_rig_sensors(path), path, None)
+    progress = Progress()
+    with private_domain() as domain:
+        report = run_sensors(sensors, path, programme, copy / "run", progress, domain=domain, resume=True)
+    assert "two: 3 steps are measured already" in progress.lines
+    for of_sensor in report.reports:
+        assert [(step.step, step.error) for step in of_sensor.steps] == [(FURTHER, "")], progress.lines
+    assert verify(bag).complete
+    for sensor, steps in (("left", [0, LAST, FURTHER]), ("right", [0, FAILED, LAST, FURTHER])):
+        with open_experiment(copy / "run", sensor=sensor) as dataset:
+            assert dataset.step[dataset.error == ""].values.tolist() == steps
+            assert set(dataset.reference_step.values[1:].tolist()) == {0}
+            travel = dataset.position.sel(step=FURTHER) - dataset.position.sel(step=LAST)
+            assert float(travel) == pytest.approx(1e-3 * (FURTHER_MM - 0.3), rel=0.01)
+    assert report.joined is not None, report.words
+    with open_experiment(report.joined) as joined:
+        step = joined.sel(step=FURTHER)
+        strain = float(step.position) / 80e-3
+        assert abs(float(step["e_22"].mean()) - (strain + strain**2 / 2)) < 50e-6
+    assert not [part for part in audit_run(copy / "run", recompute=False).parts if part.result is Result.FAILS]
+
+
+def test_other_sensors_do_not_go_on_with_a_run(ended: tuple[SensorsReport, Path, list[str]]) -> None:
+    _, folder, _ = ended
+    programme = Programme.model_validate({"steps": [{"position_mm": 0.0}] * 5, "experiment": "two"})
+    for namespaces, problem in (
+        ({"left": "rig/left", "top": "rig/top"}, "measured by the sensors left, right, and the rig has left, top"),
+        ({"left": "rig/left", "right": "other/right"}, "the namespace of the rig is 'other/right'"),
+    ):
+        with pytest.raises(ConfigurationError, match=problem):
+            recorded_steps(folder / "bag", programme, namespaces)

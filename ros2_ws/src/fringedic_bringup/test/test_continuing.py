@@ -73,7 +73,8 @@ def test_the_first_step_after_measured_ones_takes_the_place_of_the_reference(
     measured: list[int], tmp_path: Path
 ) -> None:
     """Its nodes do not have the reference, which the recording still has; before the first one nothing is lost."""
-    graph = continued(graph_of(tmp_path), tmp_path / "run" / "bag", RecordedSteps(measured, 3, len(measured)))
+    sensors = frozenset({""} if measured else ())
+    graph = continued(graph_of(tmp_path), tmp_path / "run" / "bag", RecordedSteps(measured, 3, len(measured), sensors))
     parameters = {node.name: node.parameters for node in graph.nodes}
     assert (parameters["experiment"]["first_step"], parameters["experiment"]["reference_lost"]) == (4, bool(measured))
 
@@ -113,10 +114,10 @@ def test_a_damaged_file_of_the_settings_is_named(content: str, tmp_path: Path) -
 def test_the_namespace_is_that_of_the_first_steps() -> None:
     """The recording would contain two rigs, so that no step could be processed."""
     programme = Programme.model_validate({"experiment": "plate", "steps": [{"position_mm": 0.0}] * 5})
-    assert recorded_steps(RECORDED, programme, "rig").measured == [0, 1, 2]
+    assert recorded_steps(RECORDED, programme, {"": "rig"}).measured == [0, 1, 2]
     for other in ("rig2", "", "laboratory/rig"):
         with pytest.raises(ConfigurationError, match=f"named /rig/experiment/step, .* namespace .* is '{other}'"):
-            recorded_steps(RECORDED, programme, other)
+            recorded_steps(RECORDED, programme, {"": other})
 
 
 def test_messages_are_those_of_the_first_steps(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ class Rig:
 
 def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1, progress: Progress | None = None) -> Driven:
     """Drive a programme of some steps more than an earlier run has done."""
-    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED)
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, frozenset({""}))
     return drive_steps(rig, monkeypatch, [{}] * (MEASURED + steps), before=before, progress=progress)
 
 

@@ -44,7 +44,7 @@ def test_the_specimen_of_a_programme_is_that_of_all_sensors(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["run", "--continue"], "--continue: is not possible for several sensors"),
+        (["run", "--continue"], "--continue needs --output, the folder of the run to go on with"),
         (["run", "--images", "."], "--images: is not possible for several sensors"),
         (["operate"], "the page shows one sensor, and the rig has left, right"),
         (["calibrate"], "has the sensors left, right: choose one with --sensor left"),

@@ -76,15 +76,15 @@ def run(
     from fringedic.configuration.rig_sensors import load_rig_sensors
     from fringedic_bringup.procedures.run import load_rig, run_experiment
 
+    if resume and output is None:
+        raise ConfigurationError("--continue needs --output, the folder of the run to go on with")
     path = rig_path_of(rig)
     sensors = load_rig_sensors(path, sensor)
     if len(sensors.rigs) > 1:
-        refuse_unused(context, {"images", "resume"}, "is not possible for several sensors; leave it out")
-        _run_sensors(sensors, path, programme, output)
+        refuse_unused(context, {"images"}, "is not possible for several sensors; leave it out")
+        _run_sensors(sensors, path, programme, output, resume=resume)
         return
     rig_file, steps = load_rig(path, programme, images, sensor=sensor)
-    if resume and output is None:
-        raise ConfigurationError("--continue needs --output, the folder of the run to go on with")
     folder = _folder(output, rig_file, steps)
     with LiveProgress(console) as progress:
         report = run_experiment(rig_file, path, steps, folder, progress, resume=resume)
@@ -92,13 +92,13 @@ def run(
     _check([report])
 
 
-def _run_sensors(sensors: RigSensors, path: Path, programme: Path | None, output: Path | None) -> None:
+def _run_sensors(sensors: RigSensors, path: Path, programme: Path | None, output: Path | None, *, resume: bool) -> None:
     from fringedic_bringup.procedures.run_sensors import load_sensors, run_sensors
 
     sensors, steps = load_sensors(sensors, path, programme)
     folder = _folder(output, sensors.common, steps)
     with LiveProgress(console) as progress:
-        outcome = run_sensors(sensors, path, steps, folder, progress)
+        outcome = run_sensors(sensors, path, steps, folder, progress, resume=resume)
     for report in outcome.reports:
         say(f"sensor {report.sensor}")
         _tell(report)
@@ -221,8 +221,7 @@ def _check(reports: list[RunReport]) -> None:
     """
     for report in reports:
         if report.interrupted:
-            on = "" if report.sensor else f"; to go on, repeat the command with --output {report.folder} --continue"
-            say(f"{_measured(report)}{on}")
+            say(f"{_measured(report)}; to go on, repeat the command with --output {report.folder} --continue")
             raise typer.Exit(130)
     failed = [" ".join(filter(None, (each.experiment, each.sensor))) for each in reports if each.failed]
     if failed:

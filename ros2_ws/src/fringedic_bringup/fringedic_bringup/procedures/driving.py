@@ -141,6 +141,7 @@ def drive(
         if before is not None:
             rig.last_step = before.last
             driver.has_reference = bool(before.measured)
+            driver.sensors_again |= before.sensors
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early, interrupted = "", False

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fringedic.calibration.sentences import in_force_words
-from fringedic.command.outcome import CALIBRATION_FILE, Progress, RunReport
+from fringedic.command.outcome import Progress, RunReport
 from fringedic.command.run_results import Reconstruct, sign_results, write_results
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
@@ -18,18 +18,15 @@ from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.evidence.changes import noted
 from fringedic.frames.files import image_files
-from fringedic.frames.sensor import file_of
 from fringedic.settings.camera import FilesCamera, StoredImages
-from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import (
-    continued,
+    CONTINUED,
+    calibrations_in,
     folder_of_one_command,
-    recorded_steps,
-    require_same_calibration,
-    require_same_messages,
-    require_same_settings,
+    go_on,
+    require_recording,
 )
 from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.outcome import RunControl
@@ -121,12 +118,7 @@ def run_experiment(
         The nodes did not start, or one of them ended repeatedly.
     """
     check_programme(rig, programme)
-    if (folder / "bag").exists() != resume:
-        raise ConfigurationError(
-            f"{folder} contains no recording to continue; give the folder of the run as --output"
-            if resume
-            else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
-        )
+    require_recording(folder, is_there=resume)
     if resume and isinstance(rig.camera, StoredImages):
         raise ConfigurationError(
             f"{folder} cannot be continued, because the camera would read its files from the first image again; start "
@@ -134,21 +126,12 @@ def run_experiment(
         )
     if not resume:
         _announce(forecast(rig, programme), programme, folder, progress)
-    with folder_of_one_command(folder), noted(folder, "run continued"):
-        bag, calibration, before = folder / "bag", file_of(folder / CALIBRATION_FILE, rig.sensor), None
-        first_calibration = calibration.read_text() if resume and calibration.exists() else ""
+    with folder_of_one_command(folder), noted(folder, CONTINUED):
+        before, calibrations = None, calibrations_in(folder, [rig])
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
         if resume:
-            require_same_calibration(calibration, first_calibration)
-            # a recorder may still be writing what it has received
-            require_no_nodes(domain_of(node_environment(domain)), graph)
-            require_same_messages(bag)
-            join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
-            before = recorded_steps(bag, programme, rig.topic_namespace)
-            require_same_settings(graph, folder / "logs")
-            progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
+            graph, before = go_on(graph, folder, programme, [rig], calibrations, progress, domain=domain)
             _announce(forecast(rig, programme, before.done), programme, folder, progress)
-            graph = continued(graph, bag, before)
         if (calibration_file := rig.calibration_file) is not None:
             for words in in_force_words(calibration_file, datetime.now(UTC)):
                 progress.note(words)
@@ -156,7 +139,7 @@ def run_experiment(
         with RunningGraph(graph, folder / "logs", domain=domain) as running:
             driven = drive(running, programme, progress, domain=domain, before=before, control=control)
             progress.stage(f"{programme.experiment}: closing the recording")
-        join_parts(bag, progress, rig.recording.split)
+        join_parts(folder / "bag", progress, rig.recording.split)
         progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
         report = write_results(
             programme.experiment,

@@ -17,11 +17,18 @@ from fringedic.configuration.programme_check import check_programme
 from fringedic.configuration.rig_sensors import RigSensors
 from fringedic.configuration.sentences import forecast_sentence
 from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.evidence.changes import noted
 from fringedic.sensors.files import REGISTRATION_FILE
 from fringedic.settings.camera import FilesCamera
 from fringedic_bringup.launch.graph import registration_of, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.continuing import folder_of_one_command
+from fringedic_bringup.procedures.continuing import (
+    CONTINUED,
+    calibrations_in,
+    folder_of_one_command,
+    go_on,
+    require_recording,
+)
 from fringedic_bringup.procedures.driving import Driven, drive
 from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import join_parts
@@ -79,6 +86,7 @@ def run_sensors(
     progress: Progress,
     *,
     domain: int | None = None,
+    resume: bool = False,
     control: RunControl | None = None,
 ) -> SensorsReport:
     """Run a programme on a rig of several sensors, see `run_experiment`.
@@ -92,7 +100,7 @@ def run_sensors(
     folder
         Where ``bag``, ``logs``, for each sensor ``results.left.nc``, ``report.left.html`` and a folder of pictures
         ``left`` are written, and ``bag.joined.nc`` with ``report.html`` where the sensors are registered.
-    progress, domain, control
+    progress, domain, resume, control
         As of `run_experiment`.
 
     Raises
@@ -102,18 +110,20 @@ def run_sensors(
     """
     for rig in sensors.rigs:
         check_programme(rig, programme)
-    if (folder / "bag").exists():
-        raise ConfigurationError(f"{folder} contains a recording already; choose another --output")
-    expected = reduce(_added, (forecast(rig, programme) for rig in sensors.rigs))
-    progress.note(f"{programme.experiment}: {', '.join(sensors.names)}: {forecast_sentence(expected)}")
-    expected.check_disk(folder)
+    require_recording(folder, is_there=resume)
+    if not resume:
+        _announce(sensors, programme, folder, progress)
     common, *others = sensors.rigs
     registration = registration_of(sensors)
-    with folder_of_one_command(folder):
+    with folder_of_one_command(folder), noted(folder, CONTINUED):
+        before, calibrations = None, calibrations_in(folder, sensors.rigs)
         graph = rig_graph(
             common, rig_path, folder, experiment=programme.experiment, others=others, registration=registration
         )
-        if sensors.registration is not None:  # it belongs to the recording, as the calibrations
+        if resume:
+            graph, before = go_on(graph, folder, programme, sensors.rigs, calibrations, progress, domain=domain)
+            _announce(sensors, programme, folder, progress, before.done)
+        elif sensors.registration is not None:  # it belongs to the recording, as the calibrations
             shutil.copyfile(sensors.registration, folder / REGISTRATION_FILE)
         for rig in sensors.rigs:
             if rig.calibration_file is not None:
@@ -121,7 +131,7 @@ def run_sensors(
                     progress.note(f"{rig.sensor}: {words}")
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
         with RunningGraph(graph, folder / "logs", domain=domain) as running:
-            driven = drive(running, programme, progress, domain=domain, control=control)
+            driven = drive(running, programme, progress, domain=domain, before=before, control=control)
             progress.stage(f"{programme.experiment}: closing the recording")
         join_parts(folder / "bag", progress, common.recording.split)
         return _results(sensors, programme.experiment, folder, driven, progress)
@@ -157,6 +167,12 @@ def _results(sensors: RigSensors, experiment: str, folder: Path, driven: Driven,
     except FringedicError as error:
         return SensorsReport(reports, None, [f"no joined surface: {error}"])
     return SensorsReport(reports, joined, words)
+
+
+def _announce(sensors: RigSensors, programme: Programme, folder: Path, progress: Progress, done: int = 0) -> None:
+    expected = reduce(_added, (forecast(rig, programme, done) for rig in sensors.rigs))
+    progress.note(f"{programme.experiment}: {', '.join(sensors.names)}: {forecast_sentence(expected)}")
+    expected.check_disk(folder)
 
 
 def _added(first: Forecast, second: Forecast) -> Forecast:
