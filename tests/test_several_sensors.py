@@ -168,8 +168,11 @@ def test_the_results_of_the_nodes_are_those_of_the_desk(
 @pytest.mark.slow
 def test_the_run_is_audited_with_the_calibrations_of_both(ended: tuple[SensorsReport, Path, list[str]]) -> None:
     _, folder, _ = ended
-    parts = audit_run(folder, recompute=False).parts
+    parts = audit_run(folder).parts
     assert not [part for part in parts if part.result is Result.FAILS], parts
+    (joined,) = (part for part in parts if part.name == "results bag.joined.nc")
+    assert joined.result is Result.HOLDS, joined
+    assert "from the results of its sensors and registration.yaml, equal bit by bit" in joined.found
     equal = [part.found for part in parts if part.name == "calibration"]
     assert [Path(words.rpartition(" ")[2]).stem for words in equal] == list(SENSORS)
 

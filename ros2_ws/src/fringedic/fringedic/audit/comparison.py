@@ -102,7 +102,7 @@ def _parts(one: xr.DataArray, other: xr.DataArray) -> Iterator[tuple[np.ndarray,
 
 
 def _equal_bits(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    if one.dtype.kind != "f":
+    if one.dtype.kind not in "fmM":  # of these, what is not measured (NaN, NaT) does not equal itself
         return np.asarray(one == other)
     bits = f"u{one.dtype.itemsize}"
     return np.asarray(np.ascontiguousarray(one).view(bits) == np.ascontiguousarray(other).view(bits))

@@ -29,6 +29,7 @@ from fringedic.frames.sensor import JOINED
 from fringedic.provenance import differences, processor, software_identity
 from fringedic.recording.bag_files import BAG
 from fringedic.rig.model import RigModel
+from fringedic.sensors.recorded import join_recording, registration_of
 from fringedic.signals import attachment_digests
 from fringedic.wording.numbers import counted, number_text
 
@@ -55,12 +56,13 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     settings: Mapping[str, Any] = noted[-1].details[DATASETS][path.name] if noted else {}
     try:
         with tempfile.TemporaryDirectory(prefix="fringedic-audit-") as folder, open_experiment(path) as stored:
-            if sensor_of(stored) == JOINED:
+            poses = registration_of(bag) if sensor_of(stored) == JOINED else None
+            if sensor_of(stored) == JOINED and poses is None:
                 return Part(
                     name,
                     Result.OPEN,
-                    "the joined surface is not computed again; the results of its sensors are",
-                    f"'fringedic process' of a copy of {bag} with the same registration joins them again",
+                    "there is no registration.yaml beside the recording, so that the sensors cannot be joined again",
+                    "copy the registration with which they were joined into the folder, and repeat the audit",
                 )
             if json.loads(stored.attrs.get(ATTACHMENTS, "{}")) != attachment_digests(bag):
                 return Part(
@@ -69,17 +71,22 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
                     "made with other attached files than those of now",
                     f"'fringedic process {bag} --overwrite' makes results with those of now",
                 )
-            again = process_bag(
-                bag,
-                output=Path(folder) / f"again{path.suffix}",
-                overrides=settings.get("overrides"),
-                steps=settings.get("steps"),
-                reference=settings.get("reference") or None,
-                calibration=recorded_calibration(stored) if settings.get("calibration") is not None else None,
-                experiment=settings.get("experiment") or stored.attrs.get("experiment"),
-                sensor=settings.get("sensor") or sensor_of(stored),
-                progress=lambda step, error: tell(f"{path.name}: step {step} {error or 'computed again'}"),
-            )
+            target = Path(folder) / f"again{path.suffix}"
+            if poses is not None:  # from the datasets of the sensors, which are parts of their own
+                tell(f"{path.name}: joining the sensors again")
+                again = join_recording(bag, poses, output=target, strain_window=int(stored.attrs["strain_window"]))
+            else:
+                again = process_bag(
+                    bag,
+                    output=target,
+                    overrides=settings.get("overrides"),
+                    steps=settings.get("steps"),
+                    reference=settings.get("reference") or None,
+                    calibration=recorded_calibration(stored) if settings.get("calibration") is not None else None,
+                    experiment=settings.get("experiment") or stored.attrs.get("experiment"),
+                    sensor=settings.get("sensor") or sensor_of(stored),
+                    progress=lambda step, error: tell(f"{path.name}: step {step} {error or 'computed again'}"),
+                )
             with open_experiment(again) as computed:
                 if PHASE_CHECK in stored and bool(np.isnan(stored[PHASE_CHECK]).all()):
                     found = compare_bits(stored.drop_vars(PHASE_CHECK), _as_of_the_nodes(computed))
@@ -89,7 +96,8 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     except FringedicError as error:
         return Part(name, Result.FAILS, f"cannot be computed again: {error}", "use a copy of recording and dataset")
     if not found:
-        return Part(name, Result.HOLDS, f"computed again from the raw data, equal bit by bit ({size:.3g} values)")
+        source = "the raw data" if poses is None else f"the results of its sensors and {poses.name}"
+        return Part(name, Result.HOLDS, f"computed again from {source}, equal bit by bit ({size:.3g} values)")
     words = differences_words(found)
     other = other_software(noted[-1].software) if noted else "with what software and settings is not in the log"
     if other:

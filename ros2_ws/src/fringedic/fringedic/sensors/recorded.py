@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import xarray as xr
 
 from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.processing import DATASETS
 from fringedic.datasets.stores import dataset_path, save_netcdf
 from fringedic.errors import CalibrationError, DatasetError, FringedicError, RecordingError
 from fringedic.evidence.changes import noted
@@ -281,7 +282,7 @@ def join_recording(
         for sensor in sorted(BagReader(recording).sensors):
             datasets[sensor] = stack.enter_context(open_experiment(recording, sensor=sensor))
         joined = join_sensors(datasets, placed, strain_window=strain_window)
-        with noted(target, "join", details=_details(placed)):
+        with noted(target, "join", details={DATASETS: {target.name: _details(placed)}}):
             save_netcdf(joined.load(), target)
     return target
 

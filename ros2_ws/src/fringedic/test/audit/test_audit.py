@@ -197,7 +197,10 @@ def test_a_continued_run_has_one_entry_with_its_end_and_the_settings_of_its_resu
 def test_every_bit_of_a_map_and_every_attribute_is_compared() -> None:
     maps = np.full((2, 3, 4), np.nan, np.float32)
     maps[1] = 1
-    one = xr.Dataset({"w": (("step", "row", "column"), maps, {"units": "m"})}, attrs={"sensor": "left"})
+    times = np.array(["2026-11-30T12:00", "NaT"], "datetime64[ns]")  # the second step was not measured
+    one = xr.Dataset(
+        {"w": (("step", "row", "column"), maps, {"units": "m"}), "time": ("step", times)}, attrs={"sensor": "left"}
+    )
     assert not compare_bits(one, one.copy(deep=True))
     other = one.copy(deep=True)
     other.w[1, 0, 0] = np.nextafter(np.float32(1), np.float32(2))
