@@ -119,9 +119,14 @@ class Combination:
         self.run("fringedic", "run", RIG, "--output", str(self.folder / "run"))
 
     def build(self) -> None:
-        """Call set-up and measure its duration."""
+        """Call set-up and measure its duration; a failure is told with the end of its log, which is temporary."""
         begun = time.monotonic()
-        self._run("make", "setup")
+        try:
+            self._run("make", "setup")
+        except CommandError as error:
+            log = self.checkout / "setup.log"
+            said = " ".join(log.read_text(errors="replace").split())[-1500:] if log.is_file() else "(none)"
+            raise CommandError(f"{error}; the end of its log: {said}") from error
         self.setup_s = time.monotonic() - begun
 
     def test(self) -> None:
@@ -262,8 +267,10 @@ def smoke() -> str:
 def copy_sources(target: Path) -> None:
     """Copy the files of this checkout with their times, and with the compiled kernels that fit them."""
     names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
-    kernels = [str(path.relative_to(ROOT)) for path in (ROOT / "ros2_ws" / "src").rglob("*.nb[ic]")]
-    for name in (*names, *kernels):
+    library = ROOT / "ros2_ws" / "src" / "fringedic"
+    # without the mark of `fringedic.warm_up` the first command would delete the kernels and compile them again
+    kernels = [path for pattern in ("*.nb[ic]", "fringedic-warm-up") for path in library.rglob(pattern)]
+    for name in (*names, *(str(path.relative_to(ROOT)) for path in kernels)):
         if (ROOT / name).is_file():
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)

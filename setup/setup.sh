@@ -38,6 +38,8 @@ run() {
     case $said in
     *"No space left on device"* | *"Disk quota exceeded"*)
         stop "the disk is full: free $needed_mb MB where $root and ${TMPDIR:-/tmp} lie and start again (details: $log)" ;;
+    *"Hash mismatch"* | *"DO NOT MATCH THE HASHES"*) # uv calls this a failed download, too
+        stop "the package index has another file than the lock names: unset PIP_INDEX_URL or set it to another mirror, and start again (details: $log)" ;;
     *"connection broken by"* | *"(from versions: none)"* | *"Read timed out"* | *"IncompleteRead"* | *"Connection reset"* | \
         *"Failed to fetch"* | *"Failed to download"* | *"not found in the package registry"*)
         stop "the Python package index cannot be reached: connect this computer to the network, or set PIP_INDEX_URL to a mirror, and start again (details: $log)" ;;

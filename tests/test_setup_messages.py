@@ -8,9 +8,12 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import distribution, version
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -216,17 +219,58 @@ def test_unreachable_package_index(machine: Machine) -> None:
 @pytest.mark.skipif(find_spec("uv") is None, reason="the environment was made before set-up used uv")
 def test_mirror_without_connection_once_the_installer_is_there(machine: Machine) -> None:
     """The installer comes from a folder of wheels; then it asks the index that pip is configured for."""
-    wheels = machine.bin.parent / "wheels"
-    wheel = _wheel_of("uv", wheels)
-    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
-    lock = machine.checkout / "setup" / "requirements-installer.lock"
-    lock.write_text(f"uv=={version('uv')} --hash=sha256:{digest}\n")
+    _offer_installer(machine)
     settings = machine.bin.parent / "pip.conf"
     settings.write_text("[global]\nindex-url = http://127.0.0.1:9/simple\n")
-    machine.environment |= {"PIP_CONFIG_FILE": str(settings), "PIP_FIND_LINKS": str(wheels), "PIP_NO_INDEX": "1"}
-    machine.environment |= {"UV_HTTP_RETRIES": "0"}
+    machine.environment |= {"PIP_CONFIG_FILE": str(settings), "UV_HTTP_RETRIES": "0"}
     assert "package index cannot be reached: connect this computer to the network" in machine.complaint()
     assert "http://127.0.0.1:9/simple/" in (machine.checkout / "setup.log").read_text()
+
+
+OTHER_FILE = "the package index has another file than the lock names: unset PIP_INDEX_URL or set it to another mirror"
+
+
+@pytest.mark.skipif(find_spec("uv") is None, reason="the environment was made before set-up used uv")
+def test_mirror_with_another_installer_than_the_locked_one(machine: Machine) -> None:
+    _offer_installer(machine, digest="0" * 64)
+    assert OTHER_FILE in machine.complaint()
+
+
+@pytest.mark.skipif(find_spec("uv") is None, reason="the environment was made before set-up used uv")
+def test_mirror_with_another_package_than_the_locked_one(machine: Machine) -> None:
+    """An index that cannot be reached is another thing: it leaves the smoke test of the other distribution out."""
+    _offer_installer(machine)
+    mirror = machine.bin.parent / "mirror"
+    packages = mirror / "simple" / "sorted"
+    packages.mkdir(parents=True)
+    wheel = packages / "sorted-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("sorted-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: sorted\nVersion: 1.0\n")
+        archive.writestr("sorted-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr("sorted-1.0.dist-info/RECORD", "")
+    (packages / "index.html").write_text(f'<a href="{wheel.name}">{wheel.name}</a>')
+    setup = machine.checkout / "setup"
+    (setup / "requirements.lock").write_text(f"sorted==1.0 --hash=sha256:{'0' * 64}\n")
+    (setup / "requirements-jazzy.lock").write_text("")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=mirror)) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        machine.environment["PIP_INDEX_URL"] = f"http://127.0.0.1:{server.server_port}/simple"
+        try:
+            assert OTHER_FILE in machine.complaint()
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def _offer_installer(machine: Machine, digest: str = "") -> None:
+    """Let pip find the installer of the packages in a folder, which has this checksum or its own in the lock."""
+    wheels = machine.bin.parent / "wheels"
+    wheel = _wheel_of("uv", wheels)
+    digest = digest or hashlib.sha256(wheel.read_bytes()).hexdigest()
+    lock = machine.checkout / "setup" / "requirements-installer.lock"
+    lock.write_text(f"uv=={version('uv')} --hash=sha256:{digest}\n")
+    machine.environment |= {"PIP_FIND_LINKS": str(wheels), "PIP_NO_INDEX": "1"}
 
 
 def _wheel_of(name: str, folder: Path) -> Path:
