@@ -48,9 +48,9 @@ with NumPy 2.4 (Lyrical has 2.3), and type hashes and serialised bytes of all me
 library `rosbags` for Jazzy, Kilted and Lyrical (`ros2_ws/src/fringedic_ros/test/test_message_formats.py`)."""
 TITLES = "| distribution | Python | NumPy | built | set-up | passed | failed | skipped | step | replayed |"
 RULE = "|---|---|---|---|---:|---:|---:|---:|---:|---|"
-# Executed by the Python of a combination: the median duration of a step at rest [s], and its versions.
+# Executed by the Python of a combination with a number of steps: their median duration at rest [s], and its versions.
 STEP = f"""
-import json, os, platform, statistics, tempfile
+import json, os, platform, statistics, sys, tempfile
 from importlib.metadata import version
 from pathlib import Path
 from fringedic_bringup.client import RigClient
@@ -65,7 +65,7 @@ with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
     graph = rig_graph(load_rig(path, None, None)[0], path, Path(folder))
     with RunningGraph(graph, Path(folder) / "logs"), RigClient() as rig:
         rig.wait_until_ready(graph.names, 300.0)
-        times = [rig.measure().duration for _ in range({STEPS} + 1)][1:]
+        times = [rig.measure().duration for _ in range(int(sys.argv[1]) + 1)][1:]
 found = {{"python": platform.python_version(), "numpy": version("numpy"), "step_s": statistics.median(times)}}
 print(json.dumps(found))
 """
@@ -138,9 +138,9 @@ class Combination:
         self.tests = {outcome: int(number) for number, outcome in counts}
         self.remarks += re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
 
-    def measure_steps(self) -> None:
+    def measure_steps(self, steps: int = STEPS) -> None:
         """Measure the duration of a step once more."""
-        found = json.loads(self.run("python", "-c", STEP).splitlines()[-1])
+        found = json.loads(self.run("python", "-c", STEP, str(steps)).splitlines()[-1])
         self.python, self.numpy = found["python"], found["numpy"]
         self.steps_s.append(found["step_s"])
 
@@ -238,7 +238,10 @@ def smoke() -> str:
     CommandError
         A command failed, or the results are not the same bit by bit.
     """
+    begun = time.monotonic()
     here = (ROOT / ".venv" / "stamps" / "distribution").read_text()
+    if not any((ROOT / ".venv").glob("lib/python3.*/site-packages/rclpy")):
+        return f"is left out: ROS 2 {here} is sourced, and would be sourced for the other one, too"
     other = next(each for each in DISTRIBUTIONS if each != here)
     python = os.path.realpath(sys.executable)
     with tempfile.TemporaryDirectory(prefix="fringedic-smoke-") as folder:
@@ -254,14 +257,19 @@ def smoke() -> str:
             if UNREACHABLE in str(error):
                 return f"{both[1].name} is left out: {UNREACHABLE}"
             raise
-        both[1].measure_steps()
+        both[1].measure_steps(1)
         replayed = [each.folder / "replayed" for each in both]
         for each, output in zip(both, replayed, strict=True):
             each.run("fringedic", "replay", str(RECORDED), "--output", str(output))
         total, different = both[0].compare(*replayed)
         if different:
             raise CommandError(f"{both[1].name} replays other values than {both[0].name}: {', '.join(different)}")
-        return f"{both[1].name}: set-up {both[1].setup_s:.0f} s, {total} variables of a replay as with {both[0].name}"
+        times = os.times()
+        processor = times.children_user + times.children_system
+        return (
+            f"{both[1].name}: {total} variables of a replay as with {both[0].name}; {time.monotonic() - begun:.0f} s "
+            f"(set-up {both[1].setup_s:.0f} s), {processor:.0f} s of processor time"
+        )
 
 
 def copy_sources(target: Path) -> None:

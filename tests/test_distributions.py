@@ -40,7 +40,8 @@ def checkout(distributions: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_pat
     _python(root, "from fringedic.warm_up import mark_compiled; mark_compiled()")
     subprocess.run(["git", "init", "--quiet"], cwd=root, check=True)
     subprocess.run(["git", "add", "Makefile", "setup", "*.py"], cwd=root, check=True)
-    (root / ".venv" / "stamps").mkdir(parents=True)
+    (root / ".venv" / "lib" / "python3.11" / "site-packages" / "rclpy").mkdir(parents=True)
+    (root / ".venv" / "stamps").mkdir()
     (root / ".venv" / "stamps" / "distribution").write_text("jazzy")
     monkeypatch.setattr(distributions, "ROOT", root)
     return root
@@ -71,6 +72,11 @@ def test_kernels_of_the_copy_are_current(distributions: ModuleType, tmp_path: Pa
 def test_an_index_that_cannot_be_reached_leaves_the_test_out(distributions: ModuleType, checkout: Path) -> None:
     _set_up(checkout, f"echo 'set-up: {distributions.UNREACHABLE}: connect this computer' >&2; exit 1")
     assert distributions.smoke().endswith(f"is left out: {distributions.UNREACHABLE}")
+
+
+def test_beside_a_sourced_distribution_the_test_is_left_out(distributions: ModuleType, checkout: Path) -> None:
+    next((checkout / ".venv").rglob("rclpy")).rmdir()
+    assert distributions.smoke().startswith("is left out: ROS 2 jazzy is sourced")
 
 
 def test_another_failure_is_told_with_the_end_of_the_log(distributions: ModuleType, checkout: Path) -> None:

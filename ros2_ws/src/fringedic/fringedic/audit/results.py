@@ -74,20 +74,10 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
             target = Path(folder) / f"again{path.suffix}"
             if poses is not None:  # from the datasets of the sensors, which are parts of their own
                 tell(f"{path.name}: joining the sensors again")
-                again = join_recording(bag, poses, output=target, strain_window=int(stored.attrs["strain_window"]))
+                join_recording(bag, poses, output=target, strain_window=int(stored.attrs["strain_window"]))
             else:
-                again = process_bag(
-                    bag,
-                    output=target,
-                    overrides=settings.get("overrides"),
-                    steps=settings.get("steps"),
-                    reference=settings.get("reference") or None,
-                    calibration=recorded_calibration(stored) if settings.get("calibration") is not None else None,
-                    experiment=settings.get("experiment") or stored.attrs.get("experiment"),
-                    sensor=settings.get("sensor") or sensor_of(stored),
-                    progress=lambda step, error: tell(f"{path.name}: step {step} {error or 'computed again'}"),
-                )
-            with open_experiment(again) as computed:
+                _process_again(bag, stored, settings, target, lambda step, error: tell(_step_words(path, step, error)))
+            with open_experiment(target) as computed:
                 if PHASE_CHECK in stored and bool(np.isnan(stored[PHASE_CHECK]).all()):
                     found = compare_bits(stored.drop_vars(PHASE_CHECK), _as_of_the_nodes(computed))
                 else:
@@ -108,6 +98,32 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
             "repeat the audit with the software of the log, or judge the differences",
         )
     return Part(name, Result.FAILS, f"computed again with the same software: {words}", _CHANGED)
+
+
+def _step_words(path: Path, step: int, error: str) -> str:
+    return f"{path.name}: step {step} {error or 'computed again'}"
+
+
+def _process_again(
+    bag: Path,
+    stored: xr.Dataset,
+    settings: Mapping[str, Any],
+    target: Path,
+    progress: Callable[[int, str], None],
+) -> None:
+    """Compute a dataset again with the settings that the log contains."""
+    process_bag(
+        bag,
+        output=target,
+        overrides=settings.get("overrides"),
+        steps=settings.get("steps"),
+        reference=settings.get("reference") or None,
+        calibration=recorded_calibration(stored) if settings.get("calibration") is not None else None,
+        experiment=settings.get("experiment") or stored.attrs.get("experiment"),
+        sensor=settings.get("sensor") or sensor_of(stored),
+        every_frame=settings.get("every_frame", False),
+        progress=progress,
+    )
 
 
 def _as_of_the_nodes(computed: xr.Dataset) -> xr.Dataset:

@@ -70,7 +70,7 @@ def process(  # noqa: PLR0913 (options of a command)
         typer.Option(
             "--every-frame",
             help="Between the stacks of a specimen in motion measure one for every frame; step 12 becomes 1200, and "
-            "1203 is three frames later.",
+            "1203 is three frames later. By default written as bag.every-frame.nc beside the recording.",
         ),
     ] = False,
     why: Why = "",
@@ -89,7 +89,7 @@ def process(  # noqa: PLR0913 (options of a command)
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import missing_settings, require_calibration
 
-    targets = _targets(bags, output)
+    targets = _targets(bags, output, every_frame)
     values = parameter_values(settings)
     model = None if calibration is None else RigModel.from_yaml(calibration_file(calibration))
 
@@ -99,8 +99,10 @@ def process(  # noqa: PLR0913 (options of a command)
             if poses is None:
                 measure(place, bag, sensor)
                 return
-            if model is not None or output is not None:
-                raise ConfigurationError("--calibration and --output are of one sensor: choose it with --sensor")
+            if model is not None or output is not None or every_frame:
+                raise ConfigurationError(
+                    "--calibration, --output and --every-frame are of one sensor: choose it with --sensor"
+                )
             join_all(place, bag, sensors, poses)
 
     def join_all(place: str, bag: Path, sensors: list[str], poses: Path) -> None:
@@ -176,15 +178,17 @@ def _sensors_to_join(bag: Path, sensor: str | None, registration: Path | None) -
     return sensors, registration or registration_of(bag)
 
 
-def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
+def _targets(places: list[str], output: Path | None, every_frame: bool) -> dict[str, Path | None]:
     """Return the dataset of each recording, None for the one beside it."""
+    from fringedic.recording.every_frame import EVERY_FRAME
     from fringedic.recording.remote import is_remote
     from fringedic.wording.path_names import recording_names
 
+    suffix = f".{EVERY_FRAME}.nc" if every_frame else ".nc"
     if output is not None and len(places) == 1:
         return {places[0]: output}
     return {
-        place: None if output is None and not is_remote(place) else (output or Path()) / f"{name}.nc"
+        place: None if output is None and not is_remote(place) else (output or Path()) / f"{name}{suffix}"
         for place, name in recording_names(places).items()
     }
 

@@ -29,7 +29,7 @@ from fringedic.evidence.changes import noted
 from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
-from fringedic.recording.every_frame import EveryFrameReader, stacks_of
+from fringedic.recording.every_frame import EVERY_FRAME, EveryFrameReader, stacks_of
 from fringedic.recording.frames import RecordedMessage, events, paired
 from fringedic.recording.growing import FollowError, GrowingRecording
 from fringedic.recording.reader import BagReader
@@ -89,6 +89,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     output
         The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
         name, and that of a sensor that was given one, in the working folder if the recording is in an object store.
+        With `every_frame` ``bag.every-frame.nc``, which `open_experiment` does not take for the recording's results.
     overrides
         Parameters that replace the recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
     steps
@@ -145,7 +146,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     target = None if output is None else dataset_path(source, output, overwrite)  # refused before anything is copied
     with local_copy(path, PROCESSED_TOPICS) as nearby:
         if target is None:
-            target = dataset_path(source, None, overwrite, BagReader(nearby, sensor=sensor).sensor)
+            recorded = BagReader(nearby, sensor=sensor).sensor
+            target = dataset_path(source, None, overwrite, recorded, EVERY_FRAME if every_frame else "")
         with noted(target, "process", details={DATASETS: {target.name: settings.as_details()}}):
             process_into(target, nearby, settings, progress)
     return target

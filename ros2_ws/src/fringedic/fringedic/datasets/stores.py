@@ -115,8 +115,11 @@ def dataset_path(
     output: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
     sensor: str = SENSOR,
+    kind: str = "",
 ) -> Path:
     """Return where the dataset of a sensor in a recording goes: `output`, or NetCDF beside the recording with its name.
+
+    A ``kind`` at the end of this name keeps a dataset that has other steps apart from that of the recorded ones.
 
     Raises
     ------
@@ -127,7 +130,9 @@ def dataset_path(
     if not source.name:
         raise DatasetError(f"{path}: is no recording and no dataset")
     beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
-    target = file_of(beside, sensor) if output is None else Path(output)
+    beside = file_of(beside, sensor)
+    beside = file_of(beside, kind) if kind else beside
+    target = beside if output is None else Path(output)
     check_suffix(target)
     if target.exists() and not overwrite:
         raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")

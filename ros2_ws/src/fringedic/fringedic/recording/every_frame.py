@@ -13,6 +13,8 @@ from fringedic.recording.topics import EXPOSURE, IMAGE, RawMessage
 
 STEPS_PER_STACK = 100
 """Step 12 of the recording is step 1200; 1203 is the window that begins three frames later."""
+EVERY_FRAME = "every-frame"
+"""Part of the names of datasets with such windows; the name of a sensor has no hyphen."""
 _CAPACITY = 64  # images and exposures that may wait for each other
 
 

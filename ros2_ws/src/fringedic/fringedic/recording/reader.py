@@ -329,8 +329,8 @@ class BagReader:
         """Name of each sensor whose exposures are recorded, with the beginning of the names of its topics."""
         exposures, found = self._named(EXPOSURE), dict[str, str]()
         for topic in exposures:
-            for _, message, _ in islice(self.messages([topic]), 1):
-                sensor = frame_record(message).sensor
+            for raw in islice(self.raw([topic]), 1):  # not `messages`, of which a subclass may need the sensor
+                sensor = frame_record(self.decode(topic, raw.data)).sensor
                 if sensor in found:
                     raise _of_several_rigs(self.path, EXPOSURE, exposures)
                 found[sensor] = topic.removesuffix(EXPOSURE)

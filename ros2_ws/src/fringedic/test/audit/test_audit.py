@@ -24,7 +24,7 @@ from fringedic.audit.sentences import verdict_sentence
 from fringedic.command.main import app
 from fringedic.command.outcome import RunReport
 from fringedic.command.run_results import sign_results
-from fringedic.datasets import process_bag
+from fringedic.datasets import open_experiment, process_bag
 from fringedic.evidence import begin_log, noted, read_log
 from fringedic.evidence.keys import PUBLIC, key_folder, laboratory_key, raw_public
 from fringedic.evidence.log import LOG
@@ -167,6 +167,21 @@ def test_processing_again_into_the_run_has_an_entry(run: Path) -> None:
     found = results(run)
     assert found["results bag.nc"] is Result.HOLDS, "the settings of the log are used"
     assert found["results results.nc"] is Result.HOLDS
+
+
+def test_a_dataset_of_every_frame_stays_beside_that_of_the_steps(run: Path) -> None:
+    """It has other steps (100 is step 1): it is not opened for the recording, and an audit repeats its settings."""
+    for options, name in ((["--every-frame", "--step", "100"], "bag.every-frame.nc"), (["--step", "1"], "bag.nc")):
+        done = CliRunner().invoke(app, ["process", str(run / "bag"), *options])
+        assert done.exit_code == 0, done.output
+        assert f"/{name}" in done.stdout.replace("\n", "")
+    (run / "results.nc").unlink()
+    with open_experiment(run / "bag") as steps, open_experiment(run / "bag.every-frame.nc") as frames:
+        assert (steps.step.values.tolist(), frames.step.values.tolist()) == ([0, 1], [0, 100])
+        np.testing.assert_array_equal(steps.w.sel(step=1), frames.w.sel(step=100))
+    found = results(run)
+    assert found["results bag.every-frame.nc"] is Result.HOLDS
+    assert found["results bag.nc"] is Result.HOLDS
 
 
 def test_an_interrupted_run_says_so(run: Path) -> None:

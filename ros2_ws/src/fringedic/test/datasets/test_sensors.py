@@ -12,7 +12,7 @@ from fringedic.command import recordings  # noqa: F401 (has the subcommands)
 from fringedic.command.app import app
 from fringedic.datasets import open_experiment, process_bag
 from fringedic.datasets.opening import find_dataset
-from fringedic.errors import CalibrationError, DatasetError, RecordingError
+from fringedic.errors import CalibrationError, ConfigurationError, DatasetError, RecordingError
 from fringedic.evaluation.named import evaluations, preview
 from fringedic.recording import BagReader, BagWriter, Topic
 from fringedic.recording.verification import verify
@@ -76,6 +76,8 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_each_sensor_is_measured_from_its_own_frames_into_a_dataset_of_its_own(both: Path, tmp_path: Path) -> None:
     left, right = (process_bag(both, sensor=sensor, overwrite=True) for sensor in ("left", "right"))
     assert (left.name, right.name) == ("bag.left.nc", "bag.right.nc")
+    windows = process_bag(both, sensor="left", steps=[100], every_frame=True, overwrite=True)
+    assert windows.name == "bag.left.every-frame.nc"
     alone = process_bag(RECORDED, output=tmp_path / "alone.nc")
     with open_experiment(both, sensor="left") as found, open_experiment(alone) as expected:
         assert (found.attrs.pop("sensor"), expected.attrs.pop("sensor")) == ("left", "sensor")
@@ -102,6 +104,8 @@ def test_without_a_choice_a_recording_of_two_sensors_is_refused_in_one_sentence(
         BagReader(both, sensor="top")
     with pytest.raises(RecordingError, match=words):
         app(["process", str(both)], standalone_mode=False)
+    with pytest.raises(ConfigurationError, match="--every-frame are of one sensor: choose it with --sensor"):
+        app(["process", str(both), "--registration", "poses.yaml", "--every-frame"], standalone_mode=False)
     app(["info", str(both)], standalone_mode=False)
     assert words in " ".join(capsys.readouterr().out.split())
 
