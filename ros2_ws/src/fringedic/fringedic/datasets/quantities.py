@@ -123,6 +123,8 @@ def layout_of_images(scaled: bool, strain_measure: str = GREEN_LAGRANGE) -> Layo
     return Layout(maps, {**scalars, **_CONFIRMED, **refuted}, texts, timed=False)
 
 
+COUNTS = {"sensors"}
+"""Maps of numbers, which are no strain although their unit is 1."""
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}
 PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulation", "texture": "texture"}
 
@@ -137,6 +139,7 @@ class PeopleUnit(NamedTuple):
 
 _MILLIMETRE = PeopleUnit("mm", "mm", 1e-3)
 _MICROMETRE = PeopleUnit("µm", "um", 1e-6)
+_NUMBER = PeopleUnit("1", "number", 1.0)
 _MICROSTRAIN = PeopleUnit("µstrain", "ustrain", 1e-6)
 _MEGAPASCAL = PeopleUnit("MPa", "MPa", 1e6)
 _PERCENT = PeopleUnit("%", "percent", 0.01)
@@ -164,7 +167,7 @@ def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
     """Return the one unit of a map in pictures, curves, tables and exports.
 
     Positions are in mm, displacements in µm, stress in MPa and strain in µstrain; a map without the attribute ``units``
-    has that of `MAPS`. Signals have the unit of their dataset, lengths mm.
+    has that of `MAPS` or `JOINED_MAPS`. Signals have the unit of their dataset, lengths mm.
 
     Parameters
     ----------
@@ -174,7 +177,10 @@ def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
         Largest strain that is shown, as of `strain_unit`; exports always contain µstrain.
     """
     name = str(variable.name)
-    units = variable.attrs.get("units") or MAPS.get(name, Quantity("", "")).units
+    known = MAPS.get(name) or JOINED_MAPS.get(name) or Quantity("", "")
+    units = variable.attrs.get("units") or known.units
+    if name in COUNTS:
+        return _NUMBER
     if "quantity" in variable.attrs:
         return _MILLIMETRE if units == "m" else PeopleUnit(units, units.replace("/", "_per_"), 1.0)
     if units == "m":

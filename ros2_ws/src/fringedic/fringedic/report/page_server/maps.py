@@ -16,12 +16,14 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets import open_experiment
-from fringedic.datasets.quantities import MAPS, people_unit, resolution_of, sigma_of
+from fringedic.datasets.quantities import JOINED_MAPS, MAPS, people_unit, resolution_of, sigma_of
 from fringedic.errors import DatasetError
 from fringedic.evaluation import extensometer, profile
 from fringedic.frames.region import Point
 from fringedic.wording.translation import Sentence, translatable
 
+SHOWN = {**MAPS, **JOINED_MAPS}
+"""The maps of the page: those of a sensor, and those that the joined surface of several has beside them."""
 MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser
 MOST_BYTES = 2_000_000_000  # of the maps of a running test
@@ -76,7 +78,7 @@ class RecordedMaps:
         if self.experiment.error.sel(step=step).item():
             return []
         one = self.experiment.sel(step=step)
-        return [name for name in MAPS if name in one and np.isfinite(one[name].values).any()]
+        return [name for name in SHOWN if name in one and np.isfinite(one[name].values).any()]
 
 
 class SpooledMaps:
@@ -305,7 +307,7 @@ def described(name: str) -> dict[str, Any]:
     unit = people_unit(xr.DataArray(name=name))
     return {
         "name": name,
-        "meaning": MAPS[name].long_name,
+        "meaning": SHOWN[name].long_name,
         "unit": "" if unit.text == "1" else unit.text,
         "factor": unit.factor,
         "sigma": sigma_of(name),

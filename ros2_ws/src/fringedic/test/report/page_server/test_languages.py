@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fringedic.datasets.quantities import MAPS
+from fringedic.datasets.quantities import JOINED_MAPS, MAPS
 from fringedic.report.page_server.app import PAGE, plain
 from fringedic.report.page_server.languages import CATALOGUES, catalogues, read_catalogue, words_in
 from fringedic.wording.translation import Sentence
@@ -39,7 +39,7 @@ def in_modules() -> set[str]:
     texts = (each.read_text("utf-8") for each in files)
     marked = (text for text in texts if "translatable(" in text or "Sentence(" in text)
     found = {sentence for text in marked for sentence in _marked(ast.parse(text))}
-    return found | {quantity.long_name for quantity in MAPS.values()}
+    return found | {quantity.long_name for quantity in (MAPS | JOINED_MAPS).values()}
 
 
 def _marked(tree: ast.AST) -> Iterator[str]:

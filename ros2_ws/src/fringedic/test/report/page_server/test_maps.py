@@ -11,6 +11,7 @@ import xarray as xr
 from fringedic.errors import DatasetError
 from fringedic.report.page_server import maps
 from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described, gauge, tile
+from fringedic.report.page_server.recorded import RecordedRig
 
 
 def plane(rows: int, columns: int, value: float = 1.0) -> np.ndarray:
@@ -101,3 +102,20 @@ def test_maps_that_are_measured_in_a_few_rows_are_found(tmp_path: Path, measured
 def test_recording_without_results_is_refused(tmp_path: Path) -> None:
     with pytest.raises((DatasetError, OSError), match="nowhere"):
         RecordedMaps(tmp_path / "nowhere")
+
+
+def test_maps_of_the_overlap_of_several_sensors_are_listed_and_shown(tmp_path: Path) -> None:
+    axes = {"step": [1], "row": range(4), "column": range(5)}
+    values = {"u": 1e-6, "overlap_u": 0.5, "sigma_shape": 2e-6, "sensors": 2.0}
+    fields = {name: (("step", "row", "column"), plane(4, 5, value)[None]) for name, value in values.items()}
+    joined = xr.Dataset({**fields, "error": ("step", [""])}, axes, {"sensor": "joined"})
+    joined.to_netcdf(tmp_path / "bag.joined.nc", engine="h5netcdf")
+    rig = RecordedRig(tmp_path / "bag.joined.nc")
+    shown = {each["name"]: (each["unit"], each["factor"]) for each in rig.snapshot()["quantities"]}
+    assert shown == {
+        "u": ("µm", 1e-6),
+        "overlap_u": ("standard deviations", 1.0),
+        "sigma_shape": ("µm", 1e-6),
+        "sensors": ("", 1.0),
+    }
+    assert tile(rig.maps, 1, "overlap_u").values.tolist() == plane(4, 5, 0.5).tolist()
