@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from fringedic.datasets.quantities import largest_of, strain_unit
+from fringedic.datasets.quantities import largest_of, people_unit, strain_unit
+from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.errors import DatasetError
 from fringedic.wording.optional_packages import optional_import
 
@@ -92,7 +93,9 @@ def surface_chart(step: xr.Dataset) -> go.Figure:
 def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     """Return displacement, strain and force over the steps, and force or stress over strain.
 
-    Curves of displacement and strain are interrupted where the reference step changes, because they start again there.
+    Each further signal, such as a torque or a temperature, has a curve over the steps; with one of them, the last chart
+    shows any of these quantities over any other. Curves of displacement and strain are interrupted where the reference
+    step changes, because they start again there.
 
     Parameters
     ----------
@@ -124,7 +127,54 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
                 title, label, values = "Stress over strain", "stress [MPa]", force / section / MEGA
             along = f"median {largest} [{unit_of_strain.text}]"
             figures.append(_over(title, along, label, strains[largest], {label: values}, breaks))
+    signals = _signals(dataset)
+    further = [name for name in signals if name not in ("force", "position")]
+    for name in further:
+        label, values = signals[name]
+        figure = _over(name, "step", label, numbers, {name: values}, [])  # relative to no reference step
+        if knows_sigma(dataset, name):
+            sigma = dataset[sigma_name(name)].values / people_unit(dataset[name]).factor
+            figure.data[0].error_y = {"type": "data", "array": sigma.tolist()}
+        figures.append(figure)
+    if further:
+        choices = {"step": numbers.astype(float)} | dict(signals.values())
+        choices |= {f"median {name} [{unit}]": values for name, values in moved.items()}
+        choices |= {f"median {name} [{unit_of_strain.text}]": values for name, values in strains.items()}
+        first = max(strains, key=lambda name: _range(strains[name]), default=None)
+        x = "step" if first is None else f"median {first} [{unit_of_strain.text}]"
+        figures.append(_of_choice(choices, x, signals[further[0]][0], breaks))
     return [figure for figure in figures if figure.data]
+
+
+def _signals(dataset: xr.Dataset) -> dict[str, tuple[str, np.ndarray]]:
+    """Return label and values over the steps of the signals that are known at any step, in the units of people."""
+    found = {}
+    for name in signal_names(dataset):
+        unit = people_unit(dataset[name])
+        values = np.asarray(dataset[name].values, float) / unit.factor
+        if np.isfinite(values).any():
+            found[name] = f"{name} [{unit.text}]", values
+    return found
+
+
+def _of_choice(choices: Mapping[str, np.ndarray], x: str, y: str, breaks: Sequence[int] | np.ndarray) -> go.Figure:
+    """Return a chart of one quantity over another with a list for each axis, from which the reader chooses."""
+    figure = _over("Any quantity over any other", x, y, choices[x], {y: choices[y]}, breaks)
+    menus = []
+    for axis, chosen, place in (("x", x, 0.0), ("y", y, 0.5)):
+        buttons = [
+            {
+                "label": f"{axis}: {label}",
+                "method": "update",
+                "args": [{axis: [interrupt(values, breaks).tolist()]}, {f"{axis}axis.title.text": label}],
+            }
+            for label, values in choices.items()
+        ]
+        active = list(choices).index(chosen)
+        menus.append(
+            {"buttons": buttons, "active": active, "x": place, "y": 1.0, "xanchor": "left", "yanchor": "bottom"}
+        )
+    return figure.update_layout(updatemenus=menus, margin={**_LAYOUT["margin"], "t": 90})
 
 
 def reference_changes(references: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 REGION_STATISTICS = ("mean", "standard_uncertainty", "standard_deviation", "minimum", "maximum")
 _MOST_COLUMNS = 9  # beside that of the step
+_ROUNDING = 1e-9  # of a signal: a drift below it is the rounding of its samples, which are constant
 _STEP_VALUES = (  # after the signals; factor 0: in the unit of people
     ("valid_fraction", "measured [%]", 0.01),
     ("confirmed_fraction", "confirmed [%]", 0.01),
@@ -57,13 +58,15 @@ def step_columns(dataset: xr.Dataset) -> list[Column]:
     signals += [
         (sigma_name(name), f"sigma of {name}", 0.0) for name in signal_names(dataset) if knows_sigma(dataset, name)
     ]
-    signals += [
-        (drift_name(name), f"drift of {name}", 0.0) for name in signal_names(dataset) if has_drift(dataset, name)
-    ]
+    drifts = {drift_name(name): name for name in signal_names(dataset) if has_drift(dataset, name)}
+    signals += [(name, f"drift of {signal}", 0.0) for name, signal in drifts.items()]
     for name, heading, factor in (*signals, *_STEP_VALUES):
         if name in dataset:
             unit, in_dataset = people_unit(dataset[name]), dataset[name].values.astype(float)
             factor, heading = (factor, heading) if factor else (unit.factor, f"{heading} [{unit.text}]")
+            if name in drifts:
+                largest = largest_of([dataset[drifts[name]].values.astype(float)])
+                in_dataset = np.where(np.abs(in_dataset) < _ROUNDING * largest, 0.0, in_dataset)
             columns.append(Column(heading, [number_text(value / factor) for value in in_dataset]))
     for name, heading in (("reference_step", "reference step"), ("correlated_step", "compared with")):
         columns.append(

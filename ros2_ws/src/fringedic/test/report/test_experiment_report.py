@@ -28,6 +28,7 @@ from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
 from fringedic.report.experiment import _recording
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
+from fringedic.report.tables import step_columns
 from fringedic.report.warnings import warnings
 from fringedic.signals import SignalValue, signals_of
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
@@ -188,6 +189,38 @@ def test_curves_and_warnings_tell_that_the_reference_changes(dataset):
         assert np.isfinite([curves[title].x[4], curves[title].y[4]]).all(), title
     assert len(curves["Virtual extensometers"].error_y.array) == 7
     assert len(curves["Force over crosshead position"].x) == 6, "force and position have no reference step"
+
+
+def test_further_signals_have_curves_with_their_uncertainty_and_can_be_chosen_for_the_axes(dataset):
+    """Also in the joined dataset of several sensors, whose signals are those of one of them."""
+    steps = dataset.sizes["step"]
+    torque, sigma = np.linspace(0.0, 25.0, steps), np.full(steps, 0.5)
+    about = {"units": "N m", "quantity": "torque"}
+    known = {"torque": ("step", torque, about), "torque_sigma": ("step", sigma, {"units": "N m"})}
+    charts = {each.layout.title.text: each for each in curve_charts(dataset.assign(known), 1e-5)}
+    np.testing.assert_array_equal(charts["torque"].data[0].y, torque)
+    np.testing.assert_array_equal(charts["torque"].data[0].error_y.array, sigma)
+    assert charts["torque"].layout.yaxis.title.text == "torque [N m]"
+    chosen = charts["Any quantity over any other"]
+    assert chosen.layout.yaxis.title.text == "torque [N m]"
+    labels = [[button.label for button in menu.buttons] for menu in chosen.layout.updatemenus]
+    for axis, found in zip("xy", labels, strict=True):
+        assert {f"{axis}: {each}" for each in ("step", "force [N]", "position [mm]", "torque [N m]")} <= set(found)
+        assert any(each.startswith(f"{axis}: median e_") for each in found)
+    across = next(each for each in chosen.layout.updatemenus[0].buttons if each.label == "x: torque [N m]")
+    assert list(across.args[0]["x"][0]) == torque.tolist()
+    assert across.args[1] == {"xaxis.title.text": "torque [N m]"}
+    without = {each.layout.title.text for each in curve_charts(dataset, 1e-5)}
+    assert not {"torque", "Any quantity over any other"} & without
+
+
+def test_a_drift_that_is_rounding_is_written_as_zero(dataset):
+    steps = dataset.sizes["step"]
+    drift = np.full(steps, 2e-9)
+    drift[:2] = -2.661e-19, 3e-19  # of samples that are all the same
+    changed = dataset.assign(position_drift=("step", drift, {"units": "m"}))
+    [column] = [each for each in step_columns(changed) if each.heading.startswith("drift of position")]
+    assert column.cells == ["0", "0", *["0.002"] * (steps - 2)]
 
 
 def test_conditions_are_known_or_named_as_missing(dataset):
