@@ -7,12 +7,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from pydantic import TypeAdapter
+
 from fringedic.configuration.rig_file import RigFile, rig_of_content
 from fringedic.configuration.sensors_section import REGISTRATION, names_of_sensors
 from fringedic.configuration.yaml_section import read_sections
 from fringedic.errors import ConfigurationError
+from fringedic.settings.base import FOLDER, FilePath
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
+
+_FILE_PATH = TypeAdapter(FilePath)
 
 
 class RigSensors(NamedTuple):
@@ -102,7 +107,7 @@ def _registration(entry: object, source: Path) -> Path | None:
         return None
     if not isinstance(entry, str) or not entry:
         raise ConfigurationError(f"{source}: registration: is no path; write that of the file of 'fringedic register'")
-    file = (source.parent / entry).absolute()
+    file = Path(_FILE_PATH.validate_python(entry, context={FOLDER: source.parent}))
     if not file.is_file():
         raise ConfigurationError(f"{source}: registration: there is no file {file}; 'fringedic register' writes one")
     return file

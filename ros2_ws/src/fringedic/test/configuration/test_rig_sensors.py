@@ -100,6 +100,18 @@ def test_what_several_sensors_cannot_be(tmp_path: Path, old: str, new: str, word
         load_rig_sensors(write(tmp_path, TWO.replace(old, new)))
 
 
+def test_the_registration_lies_beside_the_rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the other paths of a rig file, wherever the command is called, and also where the file is named relatively."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "registration.yaml").touch()
+    write(tmp_path, TWO.replace("frame_prefix: bench", "registration: registration.yaml"))
+    monkeypatch.chdir(tmp_path / "here")
+    found = load_rig_sensors(Path("..") / "two.yaml").registration
+    assert found is not None
+    assert found.is_absolute()
+    assert found.samefile(tmp_path / "registration.yaml")
+
+
 def test_one_sensor_is_none_of_several(tmp_path: Path) -> None:
     text = TWO[: TWO.index("  right:")]
     with pytest.raises(ConfigurationError, match=r"there is only left; write the sections of a single sensor at the"):
