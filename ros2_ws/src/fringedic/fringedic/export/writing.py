@@ -159,8 +159,8 @@ def _export(dataset: xr.Dataset, folder: Path, name: str, overwrite: bool) -> Ex
     try:
         with _replacing(target, overwrite) as temporary:
             skipped = write(dataset, temporary)
-    except FringedicError as error:
-        return Exported(name, None, [str(error)])
+    except FringedicError as error:  # it may name the file that was written, which no one looks for
+        return Exported(name, None, [str(error).replace(_temporary(target).name, target.name)])
     except OSError as error:
         return Exported(name, None, [f"{target}: cannot be written: {cause_of(error)}"])
     return Exported(name, target, skipped)
@@ -171,7 +171,7 @@ def _replacing(target: Path, overwrite: bool) -> Iterator[Path]:
     """Give a temporary name, which becomes the target when everything is written."""
     if target.exists() and not overwrite:
         raise ExportError(f"{target} exists already; choose another folder or ask to overwrite it")
-    temporary = target.with_name(f".writing-{target.name}")
+    temporary = _temporary(target)
     _remove(temporary)
     try:
         yield temporary
@@ -179,6 +179,10 @@ def _replacing(target: Path, overwrite: bool) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         _remove(temporary)
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".writing-{target.name}")
 
 
 def _remove(path: Path) -> None:

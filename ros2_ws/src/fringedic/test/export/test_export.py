@@ -1,6 +1,7 @@
 """Every exported file, read back with the library that users would take, against the dataset it came from."""
 
 import csv
+import errno
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ import zarr
 from aligned_rig import aligned_rig
 from PIL import Image
 
-from fringedic.datasets import open_experiment
+from fringedic.datasets import open_experiment, stores
 from fringedic.datasets.quantities import MAPS, STEP_NUMBERS, layout_of_images
 from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
@@ -430,6 +431,22 @@ def test_a_full_disk_is_named_and_keeps_the_previous_file(dataset, tmp_path, mon
     assert "the disk is full, the dataset needs 10 MB" in done.problems[0]
     assert before.path.read_bytes() == content
     assert list(tmp_path.iterdir()) == [before.path]
+
+
+@pytest.mark.parametrize(("name", "file"), [("netcdf", "sheet.nc"), ("png", "sheet_png")])
+def test_an_export_that_fails_names_the_wanted_file(dataset, tmp_path, monkeypatch, name, file):
+    make = Path.mkdir
+
+    def denied(place, *arguments, **options):
+        if str(tmp_path) in str(place) and place != tmp_path:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return make(place, *arguments, **options)
+
+    monkeypatch.setattr(stores, "_Output", denied)
+    monkeypatch.setattr(Path, "mkdir", denied)
+    [done] = export_dataset(dataset, tmp_path, [name], steps=[1])
+    assert done.path is None
+    assert done.problems[0].startswith(f"{tmp_path / file}: cannot be "), done.problems
 
 
 def test_formats_that_cannot_hold_the_data_are_named_and_the_rest_goes_on(dataset, tmp_path, monkeypatch):
