@@ -131,7 +131,9 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes in the files so far."""
-        return sum((self.path / file.name).stat().st_size for file in self._finished) + self._output.size_on_disk
+        finished = {file.name for file in self._finished}  # also the last file, as soon as the recording is closed
+        unfinished = 0 if self._output.summary.name in finished else self._output.size_on_disk
+        return sum((self.path / name).stat().st_size for name in finished) + unfinished
 
     def add_topic(
         self, name: str, type_name: str, qos: Iterable[Qos] = (Qos(),), *, publisher_hash: str | None = None

@@ -168,6 +168,19 @@ def test_other_readers_read_it(typestore, tmp_path):
     assert metadata["message_count"] == 88
 
 
+def test_the_size_is_that_of_the_files_also_when_they_are_complete(typestore, tmp_path):
+    writer = BagWriter(tmp_path / "bag", split=Split(size=4000))
+    writer.add_topic("/rig/bench/load", FORCE, [Qos(depth=1000)])
+    for number in range(200):
+        writer.write("/rig/bench/load", force(typestore, number), number, number)
+    writer.sync()
+    for close in (lambda: None, writer.close):
+        close()
+        sizes = [file.stat().st_size for file in (tmp_path / "bag").glob("*.mcap")]
+        assert len(sizes) > 2
+        assert writer.size == sum(sizes)
+
+
 @pytest.mark.usefixtures("typestore")
 def test_metadata_is_complete_while_recording(tmp_path):
     writer = BagWriter(tmp_path / "bag")
