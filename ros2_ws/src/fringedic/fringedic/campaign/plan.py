@@ -212,6 +212,9 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
         if summary.frames:
             shapes[found.name] = summary.image_shape
         processing = campaign.processing(found.entry)
+        if summary.sensors:
+            registration = campaign.registration or summary.registration
+            processing |= {"sensors": list(summary.sensors), "registration": registration}
         units.append(
             Unit(
                 name=found.name,
@@ -273,12 +276,30 @@ def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summar
     except OSError as error:
         return f"{found.path}: cannot be read: {cause_of(error)}"
     given = found.entry.calibration or campaign.content.calibration
+    if summary.sensors:
+        reason = _reason_against_joining(campaign, summary, bool(given))
+        if reason:
+            return f"{found.path}: contains the sensors {', '.join(summary.sensors)}: {reason}"
     if not summary.calibrated and not given and summary.frames_per_step > 1:
         return (
             f"{found.path}: contains no calibration of the rig, which fringes need; give one as 'calibration' in the "
             "file of the campaign"
         )
     return summary
+
+
+def _reason_against_joining(campaign: Campaign, summary: Summary, calibration: bool) -> str:
+    """Return why the sensors of a recording cannot be joined, and what to do; empty if they can."""
+    if not (campaign.registration or summary.registration):
+        return (
+            "write one as 'sensor' in the file of the campaign, or as 'registration' the file of 'fringedic register', "
+            "which joins them"
+        )
+    if calibration:
+        return "'calibration' is that of one; leave it out, or write one of them as 'sensor'"
+    if campaign.content.segments > 1:
+        return "the parts of a recording cannot be joined; leave 'segments' out, or write one of them as 'sensor'"
+    return ""
 
 
 def _tuples(fingerprint: dict[str, list[int]]) -> dict[str, tuple[int, int]]:

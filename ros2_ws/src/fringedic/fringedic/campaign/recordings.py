@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
 from fringedic.recording.topics import EXPOSURE, IMAGE
+from fringedic.sensors.recorded import registration_of
 from fringedic.signals import attachment_digests
 from fringedic.wording.path_names import recording_names
 
@@ -68,6 +69,10 @@ class Summary:
         (row, column) and NumPy type of the first image.
     calibrated
         Whether it contains the calibration of its rig.
+    sensors
+        Names of its sensors, if it contains several and none was chosen; then frames and images are those of one.
+    registration
+        Text of the registration beside a recording of several sensors; empty without one.
     """
 
     fingerprint: dict[str, tuple[int, int]]
@@ -77,6 +82,8 @@ class Summary:
     image_shape: tuple[int, int]
     image_type: str
     calibrated: bool
+    sensors: tuple[str, ...] = ()
+    registration: str = ""
 
     @property
     def steps(self) -> int:
@@ -183,8 +190,8 @@ def summarise(path: str, sensor: str | None = None) -> Summary:
     Raises
     ------
     RecordingError
-        There is no such recording, it is damaged or cut off, has no images or exposure records, or contains several
-        sensors and none is chosen.
+        There is no such recording, it is damaged or cut off, has no images or exposure records, or is in an object
+        store, contains several sensors and none is chosen.
     """
     if is_remote(path):
         with RemoteRecording(path).copied((IMAGE, EXPOSURE), first=True) as nearby:
@@ -194,6 +201,14 @@ def summarise(path: str, sensor: str | None = None) -> Summary:
 
 def _summary(path: str, nearby: Path, sensor: str | None) -> Summary:
     identity = fingerprint(str(nearby))
+    several = () if sensor is not None else tuple(sorted(BagReader(nearby).sensors))
+    if len(several) > 1 and not is_remote(path):
+        each = [_summary(path, nearby, name) for name in several]
+        largest = max(each, key=lambda one: one.image_shape[0] * one.image_shape[1])
+        beside = registration_of(path)
+        text = "" if beside is None else beside.read_text("utf-8", errors="replace")
+        calibrated = all(one.calibrated for one in each)
+        return replace(largest, calibrated=calibrated, sensors=several, registration=text)
     reader = BagReader(nearby, sensor=sensor)
     if reader.lost:
         raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")

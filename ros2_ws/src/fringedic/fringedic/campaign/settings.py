@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import CalibrationError, CampaignError
 from fringedic.frames.sensor import SensorName
+from fringedic.settings.base import FilePath
 
 if TYPE_CHECKING:
     from fringedic.frames.region import Region
@@ -96,6 +97,11 @@ class CampaignFile(Section):
     recordings: list[RecordingEntry] = Field(min_length=1, description="Recordings with their labels.")
     settings: _Settings = Field({}, description="Parameters that replace the recorded ones, such as dic.window.")
     sensor: SensorName | None = Field(None, description="Name of the sensor, if the recordings contain several.")
+    registration: FilePath = Field(
+        "",
+        description="Registration that joins the sensors of recordings that contain several; by default that beside "
+        "each recording.",
+    )
     calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
     reference: int | None = Field(None, description="Step that all others are measured against.")
     segments: int = Field(
@@ -118,11 +124,14 @@ class Campaign:
         The checked content.
     calibrations
         Texts of the calibrations by their names in the file.
+    registration
+        Text of the registration of sensors; empty if the file names none.
     """
 
     folder: Path
     content: CampaignFile
     calibrations: Mapping[str, str]
+    registration: str = ""
 
     @property
     def store(self) -> str:
@@ -155,7 +164,7 @@ def load_campaign(path: Path) -> Campaign:
     ConfigurationError
         The file cannot be read, or an entry is not allowed.
     CampaignError
-        The calibration cannot be read.
+        The calibration, or the registration, cannot be read.
     """
     from fringedic.steps.recorded_parameters import RecordedParameters
 
@@ -165,7 +174,8 @@ def load_campaign(path: Path) -> Campaign:
     for each in entries:
         RecordedParameters(each.settings)
     named = {each.calibration for each in entries if each.calibration}
-    return Campaign(file.parent, content, {name: _calibration_text(file, name) for name in sorted(named)})
+    calibrations = {name: _calibration_text(file, name) for name in sorted(named)}
+    return Campaign(file.parent, content, calibrations, _registration_text(file, content))
 
 
 def address(store: str, folder: Path) -> str:
@@ -190,6 +200,19 @@ def store_address(place: str | os.PathLike[str]) -> str:
         file = path / FILE if path.is_dir() else path
         return address(load_sections(file, CampaignFile).store, file.parent)
     return str(path.absolute())
+
+
+def _registration_text(file: Path, content: CampaignFile) -> str:
+    from fringedic.sensors.files import registration_from_text
+
+    if not content.registration:
+        return ""
+    try:
+        text = Path(content.registration).read_text("utf-8")
+        registration_from_text(text, content.registration)
+    except (OSError, UnicodeDecodeError, CalibrationError) as error:
+        raise CampaignError(f"{file}: registration {content.registration}: {error}") from error
+    return text
 
 
 def _calibration_text(file: Path, calibration: str) -> str:

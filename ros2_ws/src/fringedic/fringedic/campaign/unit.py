@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from fringedic.campaign.receipts import Failure, Receipt, read_receipt, receipt_
 from fringedic.campaign.recordings import fingerprint, summarise
 from fringedic.campaign.software import worker_name
 from fringedic.campaign.store import BEGUN, FAILURES, RECORDINGS, CampaignStore
+from fringedic.datasets.copying import copy_into
+from fringedic.datasets.opening import open_experiment
 from fringedic.datasets.processing import PROCESSED_TOPICS, follow_into, process_into
 from fringedic.errors import CampaignError, FringedicError
 from fringedic.evaluation.elasticity import constants_of, strain_curve
@@ -67,10 +70,27 @@ def process_unit(unit: Unit) -> Receipt:
         for part in unit.parts:
             process_unit(part)
         join_parts(store, [part.name for part in unit.parts], group)
+    elif unit.processing.get("sensors"):
+        _join(unit, group)
     else:
         with local_copy(unit.path, PROCESSED_TOPICS) as path:
             process_into(group, path, unit.settings)
     return _commit(unit, group, begun)
+
+
+def _join(unit: Unit, group: GroupStore) -> None:
+    """Process each sensor of a recording, and write their joined surface."""
+    from fringedic.sensors.files import registration_from_text  # not at the top: recordings of one sensor need none
+    from fringedic.sensors.join import join_sensors
+
+    registration = registration_from_text(unit.processing["registration"], f"registration of {unit.path}")
+    with TemporaryDirectory(prefix="fringedic-sensors-") as folder, ExitStack() as opened:
+        datasets = {}
+        for sensor in unit.processing["sensors"]:
+            file = Path(folder) / f"{sensor}.nc"
+            process_into(file, unit.path, replace(unit.settings, sensor=sensor))
+            datasets[sensor] = opened.enter_context(open_experiment(file))
+        copy_into(group, join_sensors(datasets, registration))
 
 
 def _follow(unit: Unit) -> Receipt:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from sensor_scene import BALLS, PLACES, drawn_model, record
 
+from fringedic.campaign import Plan, current_plan, load_campaign, open_campaign, process_unit
 from fringedic.command import main  # noqa: F401 (has the subcommands)
 from fringedic.command.app import app
 from fringedic.datasets import open_experiment
+from fringedic.errors import CampaignError
 from fringedic.virtual_rig import virtual_sensors
 
 POSITION = 3e-4
@@ -51,3 +53,41 @@ def test_balls_register_two_sensors_and_a_test_gives_one_surface_in_one_report(
     app(["report", str(bag), "--output", str(tmp_path / "report.html")], standalone_mode=False)
     page = (tmp_path / "report.html").read_text("utf-8")
     assert "Where two sensors overlap, their RMS difference in units of its standard deviation is: shape " in page
+
+
+def test_a_campaign_joins_the_sensors_of_its_recordings(tmp_path: Path) -> None:
+    """With the registration beside a recording, or that of the file; without one it names what to write."""
+    generator = np.random.default_rng(3)
+    rigs = virtual_sensors("plate", size="tiny")
+    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
+    places = [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]]
+    balls = record(tmp_path / "balls" / "bag", rigs, models, places)
+    bag = record(tmp_path / "test" / "bag", rigs, models, [(None, 0.0), (None, POSITION)])
+    file = tmp_path / "campaign.yaml"
+
+    def planned(text: str) -> Plan:
+        file.write_text(f"recordings: [{{path: test}}]\n{text}", "utf-8")
+        return current_plan(load_campaign(file))
+
+    [reason] = planned("").refused.values()
+    assert "contains the sensors left, right: write one as 'sensor' in the file of the campaign, or as" in reason
+    app(["register", str(balls), "--balls-mm", "15", "--output", str(tmp_path)], standalone_mode=False)
+    plan = planned("registration: registration.yaml\n")
+    assert not plan.refused
+    process_unit(plan.units[0])
+    app(["process", str(bag), "--registration", str(tmp_path / "registration.yaml")], standalone_mode=False)
+    tree, catalogue = open_campaign(tmp_path)
+    joined = tree[plan.units[0].name].dataset
+    with open_experiment(bag) as by_hand:
+        assert joined.attrs["sensor"] == by_hand.attrs["sensor"] == "joined"
+        assert set(joined.variables) == set(by_hand.variables)
+        for name in by_hand.variables:
+            np.testing.assert_array_equal(joined[name].values, by_hand[name].values, str(name))
+    assert catalogue["largest_strain"].item() > 0
+    models["left"].to_yaml(tmp_path / "c.yaml")
+    for option, words in (("calibration: c.yaml", "'calibration' is that of one"), ("segments: 2", "leave 'segments'")):
+        [reason] = planned(f"registration: registration.yaml\n{option}\n").refused.values()
+        assert words in reason
+    file.with_name("registration.yaml").write_text("reference: left\n", "utf-8")
+    with pytest.raises(CampaignError, match=r"registration .*registration\.yaml: .* is no registration of sensors"):
+        load_campaign(file)
