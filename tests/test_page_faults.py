@@ -66,9 +66,10 @@ class ShownRig(SmallRig):
             write_test(recordings, f"plate-{number}", answers, stretch=stretch)
         self.reset()
 
-    def reset(self) -> None:
+    def bare(self) -> dict[str, Any]:
+        """Return the state without optional parts."""
         rig = {"kind": "rig", "title": "rig", "operated": True, "machine": True, "measures": True, "running": []}
-        self.state = {
+        return {
             "rig": rig | self.file.shown(),
             "procedure": procedure(),
             "live": procedure("live", RUNNING, pattern="white", activity="live"),
@@ -89,19 +90,24 @@ class ShownRig(SmallRig):
             "rigs": [],
             "alarms": [],
         }
+
+    def reset(self) -> None:
+        self.state = self.bare()
         self.commands.clear()
-        self.delay_s, self.refusal = 0.0, ""
+        self.delay_s, self.check_s, self.refusal = 0.0, 0.0, ""
         self.put_maps()
 
-    def show(self, **topics: Any) -> None:
-        """Change topics of the state; `rig` is changed in part."""
-        self.state = self.state | topics | {"rig": self.state["rig"] | topics.get("rig", {})}
+    def show(self, _before: dict[str, Any] | None = None, **topics: Any) -> None:
+        """Change topics of the state, or of another one, at once; `rig` is changed in part."""
+        before = self.state if _before is None else _before
+        self.state = before | topics | {"rig": before["rig"] | topics.get("rig", {})}
 
     def put_hole(self) -> None:
         """Leave out the middle column of the maps of all steps."""
         self.put_maps(hole=2)
 
     async def check(self, text: str) -> dict[str, Any]:
+        await asyncio.sleep(self.check_s)
         return self.file.check(text)
 
     def busy(self) -> str:
@@ -342,6 +348,7 @@ def test_what_is_shown_and_checked_is_what_runs(page: Page, rig: ShownRig) -> No
     assert [each.text for each in rig.commands] == [""]
     page.check("#own")
     expect(page.locator("#programme")).to_have_value("{experiment: hidden, steps: [{}]}")
+    expect(page.locator("#run")).not_to_have_attribute("aria-busy", "true")  # the press before has been answered
     page.click("#run")
     wait_until(lambda: len(rig.commands) == 2, "the command")
     assert rig.commands[-1].text == "{experiment: hidden, steps: [{}]}"
@@ -694,6 +701,48 @@ def test_form_and_text_are_one_programme(page: Page) -> None:
     assert [step.mode for step in written.load_steps()] == ["fringes", "moving", "fringes"]
     expect(page.locator("#plan td:first-child")).to_have_text(["0", "1, …", "…"])
     page.check("#of-file")
+
+
+def test_a_text_that_is_being_written_is_not_undone_by_the_form(page: Page, rig: ShownRig) -> None:
+    """A press in the form wrote the text before anew, or was lost when the form of the text took its place."""
+    view(page, "run")
+    page.check("#own")
+    page.fill("#programme", "{experiment: pull, steps: [{position_mm: 0.1}]}")
+    expect(page.locator("#form [data-key=position_mm]")).to_have_value("0.1")
+    rig.check_s = 1.5
+    page.fill("#programme", "{experiment: pull, steps: [{position_mm: 0.2}]}")
+    press(page, "#form .add-hold", 2.0)  # the text is read meanwhile
+    expect(page.locator("#message")).to_have_text("The programme is being checked.")
+    expect(page.locator("#form [data-key=position_mm]")).to_have_value("0.2")
+    assert page.locator("#programme").input_value() == "{experiment: pull, steps: [{position_mm: 0.2}]}"
+    rig.check_s = 0.0
+    press(page, "#form .add-hold", 0.1)
+    expect(page.locator("#form legend")).to_have_text(["Step", "Hold"])
+    expect(page.locator("#programme")).to_have_value(re.compile(r"position_mm: 0.2\n- hold_s"))
+    page.check("#of-file")
+
+
+def test_the_table_of_the_steps_stays_open_while_its_programme_is_checked(page: Page, rig: ShownRig) -> None:
+    """It vanished and came back closed, and everything below it moved, with each change of the rig file."""
+    view(page, "run")
+    page.check("#of-file")
+    page.click("#plan summary")
+    expect(page.locator("#plan table")).to_be_visible()
+    page.evaluate(NOTE_PLACES)
+    rig.show(rig={"changed": 1.0})
+    wait_until(lambda: page.evaluate("window.places.length") > 1, "the check and its result", 30)
+    expect(page.locator("#plan table")).to_be_visible()
+    places = page.evaluate("window.places")
+    assert max(places) - min(places) < LINES_PX
+
+
+LINES_PX = 60  # of the sentence above the table, which is another one during the check
+NOTE_PLACES = """() => {
+  window.places = [];
+  const note = () => places.push(document.querySelector("#run").getBoundingClientRect().y);
+  const all = { childList: true, subtree: true, characterData: true, attributes: true };
+  new MutationObserver(note).observe(document.querySelector("#start"), all);
+}"""  # of the button that starts, after each change of its panel
 
 
 def test_limits_that_request_a_hold_are_set(page: Page, rig: ShownRig) -> None:
@@ -1112,3 +1161,88 @@ def test_the_buttons_of_a_run_stay_while_its_programme_is_checked(page: Page, ri
     expect(page.locator("#plan")).to_be_visible()
     assert page.evaluate("() => document.querySelector('#by-hand').isFirst"), "the button is another one"
     assert not rig.commands
+
+
+# every view, while its optional parts come and go
+
+NOTE_ELEMENTS = """() => {
+  const found = new Map();
+  for (const element of document.querySelectorAll("header button, main :is(button, a, summary, input, select, textarea), #question button")) {
+    const keys = [], own = element.id || element.dataset.key || "";
+    for (let at = element; at; at = at.parentElement) keys.unshift(at.id || at.dataset.key || "");
+    const words = element.getAttribute("aria-label") ?? element.labels?.[0]?.textContent ?? element.textContent;
+    const name = `${keys.filter(Boolean).join("/")} ${element.localName}${own ? "" : ` ${words}`}`;
+    let number = 1;
+    while (found.has(`${name} ${number}`)) number++;
+    found.set(`${name} ${number}`, element);
+  }
+  const before = window.elementsBefore ?? new Map(), both = [...found.keys()].filter((name) => before.has(name));
+  window.elementsBefore = found;
+  return [both.length, both.filter((name) => before.get(name) !== found.get(name))];
+}"""  # how many buttons, links and fields were there before, and the names of those that are other elements now
+VISITED = "async () => (await import('/page/stream.js')).latest('visited')"
+ENTERED: dict[str, Callable[[Page], None]] = {
+    "setup": lambda page: page.click("#item-timing >> text=Open"),
+    "run": lambda page: page.check("#of-file"),
+}
+
+
+def passing_states(rig: ShownRig) -> Iterator[dict[str, Any]]:
+    """Yield states of a rig of which each has other optional parts than the one before."""
+    rig.show_tests()
+    tests = {"tests": rig.state["tests"], "rigs": rig.state["rigs"]}
+    rig.show(tests=[], rigs=[])
+    maps = map_state(0, 1)
+    region = ITEM | {"item": "region", "state": 0, "next": "Draw."}
+    force = {"name": "force", "value": 1.0, "factor": 1, "unit": "N", "source": ""}
+    limit = {"signal": "force", "below": None, "above": 450.5, "reached": ""}
+    position = {"signal": "position", "below": 0.0, "above": None, "reached": ""}
+    mark = {"name": "left", "kind": "point", "points": [[1, 1]]}
+    series = {"answers": {"operator": "M. Weber"}, "text": "", "planned": 0}
+    runs = procedure("run", RUNNING, step=1, steps=5)
+    node = {"name": "camera", "level": "ok", "message": "", "values": {}}
+    listed = {"setup": [AXES, TIMING]}
+    yield listed
+    yield listed | {"rig": {"file_error": "camera: unknown"}, "hand": "step 0 is measured"}
+    yield listed | {"rig": {"load_frame": True}, "signals": [force], "steps": maps["steps"]}
+    yield listed | tests | {"rig": {"load_frame": True}, "signals": [force], "alarms": [limit]} | maps
+    yield listed | tests | {"alarms": [position, limit | {"reached": "force 451 N"}], "signals": [force]} | maps
+    yield {"setup": [region, AXES, TIMING | {"report": "/files/a", "picture": "/files/b"}]} | tests | maps
+    yield {"setup": [TIMING | {"state": 1, "words": []}, region]} | maps | {"marks": {"marks": [mark], "notes": {}}}
+    marks = {"marks": [mark | {"name": "right"}, mark], "notes": {"0": "dark"}}
+    yield listed | maps | {"marks": marks, "series": series | {"specimens": ["plate 9"]}}
+    yield listed | maps | tests | {"marks": marks, "series": series | {"specimens": ["plate 7", "plate 9"], "problem": "?"}}
+    yield listed | tests | {"procedure": runs, "figures": {"focus": 0.5, "entries": [], "histogram": [1, 2]}}
+    yield listed | tests | {"procedure": runs | {"question": "Lay the grid", "notes": ["dark"], "error": "no light"}}
+    yield listed | {"procedure": runs | {"state": PAUSED, "title": "Programme"}, "nodes": [node]}
+    yield listed | {"procedure": procedure("by_hand", RUNNING, step=0, steps=1, notes=["dark"]), "nodes": [node]}
+    ended = procedure("run", FAILED, words=["ended early"], folder="five-1", notes=["dark"])
+    yield listed | {"procedure": ended, "rig": {"load_frame": True}, "hand": "step 1 is measured"}
+    yield listed | {"procedure": ended | {"settings": "camera: {}", "notes": [], "error": "no light"}}
+    yield listed | {"procedure": procedure("timing", DONE, words=["delay 80 ms"], settings="camera: {}")}
+    yield listed | {"procedure": procedure("timing", FAILED, error="no light"), "rig": {"operated": False}}
+    yield listed | {"live": procedure("live", RUNNING, pattern="fringes", activity="live")}
+    yield listed
+
+
+@pytest.mark.parametrize("name", TRANSLATED_VIEWS)
+def test_buttons_links_and_fields_stay_the_same_elements(page: Page, rig: ShownRig, name: str) -> None:
+    """An element that is made anew loses the press that has begun on it, the focus, and what is being typed."""
+    shown: list[int] = []
+    others: dict[int, list[str]] = {}
+    page.evaluate("() => { window.elementsBefore = undefined; }")
+    for number, topics in enumerate(passing_states(rig)):
+        rig.show(rig.bare(), **topics, visited=number)
+        wait_until(lambda number=number: page.evaluate(VISITED) == number, "the state")
+        if number == 0:
+            view(page, name)
+            expect(page.locator("main > *").first).to_be_visible()
+            ENTERED.get(name, lambda page: None)(page)
+            page.wait_for_timeout(500)  # what a view reads when it is opened
+        count, changed = page.evaluate(NOTE_ELEMENTS)
+        shown.append(count)
+        if changed:
+            others[number] = changed
+    print(shown, others)
+    assert others == {}
+    assert min(shown[1:]) > 0, "nothing was compared"

@@ -276,6 +276,7 @@ def corrects_a_programme_beyond_the_limits(hands: Mouse) -> None:
     hands.write("#form [data-key=to_mm]", "0,6")
     hands.write("#form [data-key=steps]", "5")
     hands.write("#form [data-key=speed_mm_per_s]", "5")
+    hands.write("#form [data-key=hold_s]", "4")  # a hold is requested before the last step, also on a busy computer
     hands.reads("#plan summary", "Steps: 5")
 
 

@@ -46,7 +46,8 @@ def test_the_specimen_of_a_programme_is_that_of_all_sensors(tmp_path: Path) -> N
     [
         (["run", "--continue"], "--continue needs --output, the folder of the run to go on with"),
         (["run", "--images", "."], "--images: is not possible for several sensors"),
-        (["operate"], "the page shows one sensor, and the rig has left, right"),
+        (["operate"], "the page shows one sensor, and the rig has left, right. Set up each of them in a terminal"),
+        (["operate"], "two_sensors.yaml', and look at its folder in the browser with 'fringedic view FOLDER/bag"),
         (["calibrate"], "has the sensors left, right: choose one with --sensor left"),
         (["run", "--sensor", "top"], "has no sensor 'top', but the sensors left, right"),
     ],

@@ -4,6 +4,7 @@ import { button } from "./buttons.js";
 import { make } from "./elements.js";
 import { decimal, t } from "./language.js";
 import { numberField } from "./numbers.js";
+import { say } from "./server.js";
 
 const NUMBER = { position_mm: t("to [mm]"), from_mm: t("from [mm]"), to_mm: t("to [mm]"), steps: t("steps"), repeats_at_rest: t("repeats at rest"), speed_mm_per_s: t("speed [mm/s]"), hold_s: t("hold [s]"), times: t("times"), every_s: t("from stack to stack [s]") };
 const WHOLE = ["steps", "repeats_at_rest", "times"];
@@ -16,16 +17,33 @@ const NEW = {
 };
 const ADDED = { step: t("a step"), continuous: t("a measured move"), ramp: t("a ramp"), hold: t("a hold"), cycle: t("a cycle") };
 
+const PRESSED_MS = 50; // until it is looked again whether a press has ended
+
 // The form; `changed` is called with the whole programme after each change. What a person writes in stays while the text follows.
 export class ProgrammeForm {
   constructor(changed) {
     this.changed = changed;
     this.element = make("div", { id: "form" });
     this.programme = null;
+    this.isBehind = false; // the text was changed and has not been read: a change of the form would undo that of the text
+    for (const event of ["click", "change"]) this.element.addEventListener(event, (what) => this.refuse(what), true);
   }
 
-  // Shows the content of a text; null: it cannot be read.
+  refuse(event) {
+    if (!this.isBehind || (event.type === "click" && !event.target.closest("button"))) return;
+    event.preventDefault();
+    event.stopPropagation();
+    say(t("The programme is being checked."));
+  }
+
+  // Shows the content of a text; null: it cannot be read. A press that has begun is answered before its button is replaced.
   show(programme) {
+    clearTimeout(this.later);
+    if (this.element.matches(":active")) {
+      this.later = setTimeout(() => this.show(programme), PRESSED_MS);
+      return;
+    }
+    this.isBehind = false;
     if (JSON.stringify(programme) === JSON.stringify(this.programme)) return;
     this.programme = structuredClone(programme);
     this.render();

@@ -38,11 +38,13 @@ export function show(place) {
 
 // The one programme that is shown, checked and started: that of the rig file, or the text.
 let repaint = () => {}, isOwn = false, checked = null, of = null, writing = 0;
+let planned = { rows: [], count: 0 }; // by the last check: its place is kept during the next one, so that what is below stays
 const inTurn = newest();
 const text = keep(make("textarea", { id: "programme", "aria-label": t("Programme in place of that of the rig file"), placeholder: "ramp: {to_mm: 1.0, steps: 11}" }));
 text.addEventListener("input", () => {
   inTurn(null); // the answer about the text before is not about this one
   checked = null;
+  form.isBehind = true;
   repaint();
   clearTimeout(writing);
   writing = setTimeout(check, WRITTEN_MS);
@@ -80,8 +82,9 @@ function checkAgain(rig) {
 async function check() {
   checked = null;
   repaint();
-  if (isOwn && !selected().trim()) checked = { rows: [], count: 0, words: "", problem: t("Write a programme, or choose that of the rig file.") };
+  if (isOwn && !selected().trim()) checked = { rows: [], count: 0, words: "", programme: null, problem: t("Write a programme, or choose that of the rig file.") };
   else checked = await inTurn(checkProgramme(selected())).catch((error) => ({ rows: [], count: 0, words: "", problem: error.message })) ?? checked;
+  if (checked) planned = checked;
   if (isOwn && checked?.programme !== undefined) form.show(checked.programme);
   repaint();
 }
@@ -145,14 +148,14 @@ function cannotMeasure() {
 function programmeParts() {
   const rig = latest("rig") ?? {};
   const choice = (id, own, label) => make("label", {}, make("input", { type: "radio", name: "programme", id, checked: isOwn === own, onchange: () => (own ? chooseOwn() : choose(false)) }), label);
-  const found = checked ?? { rows: [], words: "", problem: "" };
+  const found = checked ?? { ...planned, words: "", problem: "" };
   return [
     make("fieldset", { class: "row" }, make("legend", {}, t("Programme")), choice("of-file", false, rig.file ? t("of {file}", { file: rig.file }) : t("of the rig file")), choice("own", true, t("written here"))),
     isOwn ? form.element : null,
     isOwn ? make("details", { id: "yaml", open: true }, make("summary", {}, t("The same as text (YAML)")), text) : null,
     found.problem && found.problem === rig.file_error ? null : found.problem ? make("p", { class: "bad", id: "problem", role: "status", lang: spoken(found.problem) }, known(found.problem))
       : make("p", { class: "soft", id: "forecast", role: "status", lang: spoken(found.words) }, checked ? found.words : t("The programme is being checked.")),
-    found.rows.length ? make("div", { class: "plan" }, planCurve(found.rows), make("details", { id: "plan" },
+    found.rows.length ? make("div", { class: `plan${checked ? "" : " unknown"}`, "data-key": "plan" }, planCurve(found.rows), make("details", { id: "plan" },
       make("summary", {}, t("Steps: {count}", { count: found.count })), make("div", { class: "scroll" }, make("table", {}, ...planRows(found))))) : null,
   ];
 }
