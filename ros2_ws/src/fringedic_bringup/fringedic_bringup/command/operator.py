@@ -34,9 +34,9 @@ def operate(
     path = rig if rig.exists() else own_copy(rig_path_of(rig))
     if len(names := load_rig_sensors(path).names) > 1:
         raise ConfigurationError(
-            f"{path}: the page shows one sensor, and the rig has {', '.join(names)}. Set up each of them in a terminal, "
-            f"such as with 'fringedic calibrate {path} --sensor {names[0]}', start a test with 'fringedic run {path}', and "
-            f"look at its folder in the browser with 'fringedic view FOLDER/bag --sensor {names[0]}'"
+            f"{path}: the page shows one sensor, and the rig has {', '.join(names)}. Set up each of them in a "
+            f"terminal, such as with 'fringedic calibrate {path} --sensor {names[0]}', start a test with 'fringedic "
+            f"run {path}', and look at its folder in the browser with 'fringedic view FOLDER/bag --sensor {names[0]}'"
         )
     place = page_address(address, port, certificate, key)
     stop = ended_by_signals().is_set
