@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from running_system import Progress
-from sensor_scene import BALLS, PLACES, drawn_model, record
+from sensor_scene import recorded_balls
 
 from fringedic.audit.parts import Result
 from fringedic.audit.run import audit_run
@@ -25,7 +25,6 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.verification import verify
 from fringedic.sensors.files import save_registration
 from fringedic.sensors.recorded import Balls, register_recording
-from fringedic.virtual_rig import virtual_sensors
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.procedures.continuing import recorded_steps
 from fringedic_bringup.procedures.run_sensors import SensorsReport, load_sensors, run_sensors
@@ -75,13 +74,9 @@ class KillsCamera(Progress):
 def ended(tmp_path_factory: pytest.TempPathFactory) -> tuple[SensorsReport, Path, list[str]]:
     """Run three steps; the camera of one sensor is killed in the second."""
     folder = tmp_path_factory.mktemp("two")
-    generator = np.random.default_rng(3)
-    rigs = virtual_sensors("plate", size="tiny")
-    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
+    _, models, balls = recorded_balls(folder / "balls" / "bag")
     for name, model in models.items():
         model.to_yaml(folder / f"{name}.yaml")
-    places = [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]]
-    balls = record(folder / "balls" / "bag", rigs, models, places)
     save_registration(register_recording(balls, balls=Balls(15e-3)), folder / "registration.yaml")
     path = folder / "two.yaml"
     path.write_text(RIG)

@@ -18,7 +18,7 @@ from fringedic.patterns.sequences import PatternSequence, fringe_sequence
 from fringedic.recording import BagReader, BagWriter, Topic
 from fringedic.rig.geometry import parameter_values, with_parameters
 from fringedic.rig.model import RigModel
-from fringedic.virtual_rig import VirtualRig
+from fringedic.virtual_rig import VirtualRig, virtual_sensors
 
 NOISE = 0.0021 * 2 * math.pi  # [rad]
 PITCH = 10.0
@@ -208,3 +208,11 @@ def _present(topic: Topic) -> str:
         return topic.definition
     nested = topic.definition.partition("=" * 80)
     return f"{file.read_text('utf-8')}\n{nested[1]}{nested[2]}"
+
+
+def recorded_balls(bag: Path) -> tuple[dict[str, VirtualRig], dict[str, RigModel], Path]:
+    """Return two sensors at a plate, their calibrations, and their recording of three balls in two places."""
+    generator = np.random.default_rng(3)
+    rigs = virtual_sensors("plate", size="tiny")
+    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
+    return rigs, models, record(bag, rigs, models, [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]])

@@ -56,8 +56,9 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     settings: Mapping[str, Any] = noted[-1].details[DATASETS][path.name] if noted else {}
     try:
         with tempfile.TemporaryDirectory(prefix="fringedic-audit-") as folder, open_experiment(path) as stored:
-            poses = registration_of(bag) if sensor_of(stored) == JOINED else None
-            if sensor_of(stored) == JOINED and poses is None:
+            is_joined = sensor_of(stored) == JOINED
+            poses = registration_of(bag) if is_joined else None
+            if is_joined and poses is None:
                 return Part(
                     name,
                     Result.OPEN,
@@ -71,12 +72,12 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
                     "made with other attached files than those of now",
                     f"'fringedic process {bag} --overwrite' makes results with those of now",
                 )
-            target = Path(folder) / f"again{path.suffix}"
+            target = Path(folder) / path.name
             if poses is not None:  # from the datasets of the sensors, which are parts of their own
                 tell(f"{path.name}: joining the sensors again")
                 join_recording(bag, poses, output=target, strain_window=int(stored.attrs["strain_window"]))
             else:
-                _process_again(bag, stored, settings, target, lambda step, error: tell(_step_words(path, step, error)))
+                _process_again(bag, stored, settings, target, tell)
             with open_experiment(target) as computed:
                 if PHASE_CHECK in stored and bool(np.isnan(stored[PHASE_CHECK]).all()):
                     found = compare_bits(stored.drop_vars(PHASE_CHECK), _as_of_the_nodes(computed))
@@ -100,16 +101,8 @@ def check_dataset(path: Path, bag: Path, entries: Sequence[Entry], tell: Callabl
     return Part(name, Result.FAILS, f"computed again with the same software: {words}", _CHANGED)
 
 
-def _step_words(path: Path, step: int, error: str) -> str:
-    return f"{path.name}: step {step} {error or 'computed again'}"
-
-
 def _process_again(
-    bag: Path,
-    stored: xr.Dataset,
-    settings: Mapping[str, Any],
-    target: Path,
-    progress: Callable[[int, str], None],
+    bag: Path, stored: xr.Dataset, settings: Mapping[str, Any], target: Path, tell: Callable[[str], None]
 ) -> None:
     """Compute a dataset again with the settings that the log contains."""
     process_bag(
@@ -122,7 +115,7 @@ def _process_again(
         experiment=settings.get("experiment") or stored.attrs.get("experiment"),
         sensor=settings.get("sensor") or sensor_of(stored),
         every_frame=settings.get("every_frame", False),
-        progress=progress,
+        progress=lambda step, error: tell(f"{target.name}: step {step} {error or 'computed again'}"),
     )
 
 

@@ -200,16 +200,18 @@ def summarise(path: str, sensor: str | None = None) -> Summary:
 
 
 def _summary(path: str, nearby: Path, sensor: str | None) -> Summary:
-    identity = fingerprint(str(nearby))
-    several = () if sensor is not None else tuple(sorted(BagReader(nearby).sensors))
-    if len(several) > 1 and not is_remote(path):
-        each = [_summary(path, nearby, name) for name in several]
-        largest = max(each, key=lambda one: one.image_shape[0] * one.image_shape[1])
-        beside = registration_of(path)
-        text = "" if beside is None else beside.read_text("utf-8", errors="replace")
-        calibrated = all(one.calibrated for one in each)
-        return replace(largest, calibrated=calibrated, sensors=several, registration=text)
-    reader = BagReader(nearby, sensor=sensor)
+    identity, reader = fingerprint(str(nearby)), BagReader(nearby, sensor=sensor)
+    several = () if sensor is not None or is_remote(path) else tuple(sorted(reader.sensors))
+    if len(several) < 2:
+        return _summary_of_sensor(path, reader, identity)
+    each = [_summary_of_sensor(path, BagReader(nearby, sensor=name), identity) for name in several]
+    largest = max(each, key=lambda one: one.image_shape[0] * one.image_shape[1])
+    beside = registration_of(path)
+    text = "" if beside is None else beside.read_text("utf-8", errors="replace")
+    return replace(largest, calibrated=all(one.calibrated for one in each), sensors=several, registration=text)
+
+
+def _summary_of_sensor(path: str, reader: BagReader, identity: dict[str, tuple[int, int]]) -> Summary:
     if reader.lost:
         raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")
     names = reader.find(IMAGE, EXPOSURE)

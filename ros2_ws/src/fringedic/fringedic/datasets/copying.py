@@ -9,12 +9,11 @@ import xarray as xr
 
 from fringedic.datasets.checked_store import ChecksummedStore
 from fringedic.datasets.checksums import CHECKED, CONTENT
-from fringedic.datasets.quantities import MAP_DIMENSIONS, TEXT
+from fringedic.datasets.quantities import MAP_DIMENSIONS, NANOSECONDS, TEXT
 from fringedic.datasets.stores import Store, Variable
 
 _IN_MILLIMETRES = ("x_mm", "y_mm")  # made when a dataset is opened
 _WHEN_OPENED = {CHECKED, CONTENT}  # attributes
-_SINCE = "nanoseconds since 1970-01-01"
 _STEP = MAP_DIMENSIONS[0]
 
 
@@ -36,7 +35,7 @@ def copy_into(store: Store, dataset: xr.Dataset) -> None:
         values = _plain(each.values)
         attributes = {str(key): str(value) for key, value in each.attrs.items()}
         if each.dtype.kind == "M":
-            attributes["units"] = _SINCE
+            attributes["units"] = NANOSECONDS
         kind = TEXT if values.dtype.kind == "O" else f"{values.dtype.kind}{values.dtype.itemsize}"
         dimensions = tuple(map(str, each.dims))
         target.add_variable(Variable(str(name), dimensions, kind, attributes), {**sizes, _STEP: 0})

@@ -79,6 +79,10 @@ JOINED_MAPS: dict[str, Quantity] = {  # of the joined surface of several sensors
     "sensors": Quantity("1", "number of sensors that measured the point"),
     "sigma_shape": Quantity("m", "standard deviation of the position along the normal"),
 }
+ALL_MAPS = {**MAPS, **JOINED_MAPS}
+"""The maps of a sensor, and those that the joined surface of several has beside them."""
+NANOSECONDS = "nanoseconds since 1970-01-01"
+"""Unit of the times in a dataset."""
 SCALARS: dict[str, Quantity] = {
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
@@ -167,7 +171,7 @@ def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
     """Return the one unit of a map in pictures, curves, tables and exports.
 
     Positions are in mm, displacements in µm, stress in MPa and strain in µstrain; a map without the attribute ``units``
-    has that of `MAPS` or `JOINED_MAPS`. Signals have the unit of their dataset, lengths mm.
+    has that of `ALL_MAPS`. Signals have the unit of their dataset, lengths mm.
 
     Parameters
     ----------
@@ -177,8 +181,7 @@ def people_unit(variable: xr.DataArray, largest: float = 0.0) -> PeopleUnit:
         Largest strain that is shown, as of `strain_unit`; exports always contain µstrain.
     """
     name = str(variable.name)
-    known = MAPS.get(name) or JOINED_MAPS.get(name) or Quantity("", "")
-    units = variable.attrs.get("units") or known.units
+    units = variable.attrs.get("units") or ALL_MAPS.get(name, Quantity("", "")).units
     if name in COUNTS:
         return _NUMBER
     if "quantity" in variable.attrs:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fringedic.datasets.checked_store import ChecksummedStore
-from fringedic.datasets.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, TEXT, Layout
+from fringedic.datasets.quantities import MAP_DIMENSIONS, NANOSECONDS, RECORDING, STEP_NUMBERS, TEXT, Layout
 from fringedic.datasets.rows import Row
 from fringedic.datasets.signals import drift_name, series_name, sigma_name, time_name
 from fringedic.datasets.stores import Store, Variable, create_store, require_room
@@ -69,9 +69,7 @@ class DatasetWriter:
     def _make_variables(self) -> None:
         self._variable("step", ("step",), "i8", "1", "load step")
         if self._layout.timed:
-            self._variable(
-                "time", ("step",), "i8", "nanoseconds since 1970-01-01", "last exposure, or middle of a moving stack"
-            )
+            self._variable("time", ("step",), "i8", NANOSECONDS, "last exposure, or middle of a moving stack")
         for name, meaning in STEP_NUMBERS.items():
             self._variable(name, ("step",), "i8", "1", meaning)
         for name, meaning in self._layout.texts.items():
@@ -116,7 +114,7 @@ class DatasetWriter:
     def _write_series(self, name: str, signal: Signal, about: Mapping[str, str]) -> None:
         axis, series = time_name(name), series_name(name)
         sizes, unit = {axis: signal.stamps.size}, signal.channel.unit
-        self._variable(axis, (axis,), "i8", "nanoseconds since 1970-01-01", f"time of the samples of {name}", sizes)
+        self._variable(axis, (axis,), "i8", NANOSECONDS, f"time of the samples of {name}", sizes)
         self._variable(series, (axis,), "f8", unit, signal.channel.name, sizes, about)
         self._variable(sigma_name(series), (axis,), "f8", unit, f"standard uncertainty of {series}", sizes)
         columns = {axis: signal.stamps, series: signal.values, sigma_name(series): signal.sigmas}

@@ -14,7 +14,14 @@ import tifffile
 import xarray as xr
 
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
-from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit, strain_words
+from fringedic.datasets.quantities import (
+    MAP_DIMENSIONS,
+    NANOSECONDS,
+    STEP_NUMBERS,
+    PeopleUnit,
+    people_unit,
+    strain_words,
+)
 from fringedic.datasets.signals import drift_name, has_drift, knows_sigma, sigma_name, signal_names
 from fringedic.datasets.stores import save_netcdf, save_zarr
 from fringedic.errors import ExportError
@@ -179,5 +186,5 @@ def _encoding(dataset: xr.Dataset, chunks: str, sizes: tuple[int, int, int]) -> 
     """One map per chunk, times to the nanosecond."""
     encoding: dict[str, dict[str, Any]] = {name: {chunks: sizes} for name in map_names(dataset)}
     if "time" in dataset:
-        encoding["time"] = {"units": "nanoseconds since 1970-01-01", "dtype": "int64"}
+        encoding["time"] = {"units": NANOSECONDS, "dtype": "int64"}
     return encoding

@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from fringedic.datasets.attributes import parameters_of, recorded_calibration, sensor_of
-from fringedic.datasets.quantities import JOINED_MAPS, MAPS
+from fringedic.datasets.quantities import ALL_MAPS
 from fringedic.errors import CalibrationError, DatasetError
 from fringedic.frames.sensor import JOINED
 from fringedic.rig.model import RigModel
@@ -563,7 +563,7 @@ def _as_dataset(
     shape = (grid.a.shape[0], grid.a.shape[1] + (1 if grid.closed else 0))
     maps = {}
     for name in names:
-        quantity = JOINED_MAPS.get(name) or MAPS[name]
+        quantity = ALL_MAPS[name]
         values = np.full((len(rows), *shape), np.nan, np.float32)
         for index, row in enumerate(rows):
             if name in row:

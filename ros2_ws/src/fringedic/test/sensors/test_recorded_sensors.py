@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sensor_scene import BALLS, PLACES, drawn_model, record
+from sensor_scene import BALLS, record, recorded_balls
 
 from fringedic.campaign import Plan, current_plan, load_campaign, open_campaign, process_unit
 from fringedic.command import main  # noqa: F401 (has the subcommands)
 from fringedic.command.app import app
 from fringedic.datasets import open_experiment
 from fringedic.errors import CampaignError
-from fringedic.virtual_rig import virtual_sensors
 
 POSITION = 3e-4
 
@@ -21,11 +20,7 @@ POSITION = 3e-4
 def test_balls_register_two_sensors_and_a_test_gives_one_surface_in_one_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    generator = np.random.default_rng(3)
-    rigs = virtual_sensors("plate", size="tiny")
-    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
-    places = [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]]
-    balls = record(tmp_path / "balls" / "bag", rigs, models, places)
+    rigs, models, balls = recorded_balls(tmp_path / "balls" / "bag")
     bag = record(tmp_path / "test" / "bag", rigs, models, [(None, 0.0), (None, POSITION)])
     app(["register", str(balls), "--balls-mm", "15", "--output", str(bag.parent)], standalone_mode=False)
     printed = " ".join(capsys.readouterr().out.split())
@@ -57,11 +52,7 @@ def test_balls_register_two_sensors_and_a_test_gives_one_surface_in_one_report(
 
 def test_a_campaign_joins_the_sensors_of_its_recordings(tmp_path: Path) -> None:
     """With the registration beside a recording, or that of the file; without one it names what to write."""
-    generator = np.random.default_rng(3)
-    rigs = virtual_sensors("plate", size="tiny")
-    models = {name: drawn_model(rig, name, generator) for name, rig in rigs.items()}
-    places = [({**BALLS, "centres_mm": each}, 0.0) for each in PLACES[:2]]
-    balls = record(tmp_path / "balls" / "bag", rigs, models, places)
+    rigs, models, balls = recorded_balls(tmp_path / "balls" / "bag")
     bag = record(tmp_path / "test" / "bag", rigs, models, [(None, 0.0), (None, POSITION)])
     file = tmp_path / "campaign.yaml"
 

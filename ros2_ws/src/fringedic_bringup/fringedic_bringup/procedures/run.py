@@ -125,13 +125,13 @@ def run_experiment(
             "a new run"
         )
     if not resume:
-        _announce(forecast(rig, programme), programme, folder, progress)
+        announce(forecast(rig, programme), programme.experiment, folder, progress)
     with folder_of_one_command(folder), noted(folder, CONTINUED):
         before, calibrations = None, calibrations_in(folder, [rig])
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
         if resume:
             graph, before = go_on(graph, folder, programme, [rig], calibrations, progress, domain=domain)
-            _announce(forecast(rig, programme, before.done), programme, folder, progress)
+            announce(forecast(rig, programme, before.done), programme.experiment, folder, progress)
         if (calibration_file := rig.calibration_file) is not None:
             for words in in_force_words(calibration_file, datetime.now(UTC)):
                 progress.note(words)
@@ -156,8 +156,9 @@ def run_experiment(
         return report
 
 
-def _announce(expected: Forecast, programme: Programme, folder: Path, progress: Progress) -> None:
-    progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
+def announce(expected: Forecast, name: str, folder: Path, progress: Progress) -> None:
+    """Tell what a programme needs, and refuse it if the disk has less space."""
+    progress.note(f"{name}: {forecast_sentence(expected)}")
     expected.check_disk(folder)
 
 

@@ -15,7 +15,6 @@ from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.programme_check import check_programme
 from fringedic.configuration.rig_sensors import RigSensors
-from fringedic.configuration.sentences import forecast_sentence
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.evidence.changes import noted
 from fringedic.sensors.files import REGISTRATION_FILE
@@ -32,7 +31,7 @@ from fringedic_bringup.procedures.continuing import (
 from fringedic_bringup.procedures.driving import Driven, drive
 from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import join_parts
-from fringedic_bringup.procedures.run import exact_reconstruction, load_rig
+from fringedic_bringup.procedures.run import announce, exact_reconstruction, load_rig
 
 
 @dataclass(frozen=True)
@@ -111,8 +110,9 @@ def run_sensors(
     for rig in sensors.rigs:
         check_programme(rig, programme)
     require_recording(folder, is_there=resume)
+    name = f"{programme.experiment}: {', '.join(sensors.names)}"
     if not resume:
-        _announce(sensors, programme, folder, progress)
+        announce(_forecast(sensors, programme), name, folder, progress)
     common, *others = sensors.rigs
     registration = registration_of(sensors)
     with folder_of_one_command(folder), noted(folder, CONTINUED):
@@ -122,7 +122,7 @@ def run_sensors(
         )
         if resume:
             graph, before = go_on(graph, folder, programme, sensors.rigs, calibrations, progress, domain=domain)
-            _announce(sensors, programme, folder, progress, before.done)
+            announce(_forecast(sensors, programme, before.done), name, folder, progress)
         elif sensors.registration is not None:  # it belongs to the recording, as the calibrations
             shutil.copyfile(sensors.registration, folder / REGISTRATION_FILE)
         for rig in sensors.rigs:
@@ -169,10 +169,9 @@ def _results(sensors: RigSensors, experiment: str, folder: Path, driven: Driven,
     return SensorsReport(reports, joined, words)
 
 
-def _announce(sensors: RigSensors, programme: Programme, folder: Path, progress: Progress, done: int = 0) -> None:
-    expected = reduce(_added, (forecast(rig, programme, done) for rig in sensors.rigs))
-    progress.note(f"{programme.experiment}: {', '.join(sensors.names)}: {forecast_sentence(expected)}")
-    expected.check_disk(folder)
+def _forecast(sensors: RigSensors, programme: Programme, done: int = 0) -> Forecast:
+    """Return the forecast of all sensors for the steps that are not done."""
+    return reduce(_added, (forecast(rig, programme, done) for rig in sensors.rigs))
 
 
 def _added(first: Forecast, second: Forecast) -> Forecast:

@@ -16,14 +16,12 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets import open_experiment
-from fringedic.datasets.quantities import JOINED_MAPS, MAPS, people_unit, resolution_of, sigma_of
+from fringedic.datasets.quantities import ALL_MAPS, MAPS, people_unit, resolution_of, sigma_of
 from fringedic.errors import DatasetError
 from fringedic.evaluation import extensometer, profile
 from fringedic.frames.region import Point
 from fringedic.wording.translation import Sentence, translatable
 
-SHOWN = {**MAPS, **JOINED_MAPS}
-"""The maps of the page: those of a sensor, and those that the joined surface of several has beside them."""
 MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser
 MOST_BYTES = 2_000_000_000  # of the maps of a running test
@@ -78,7 +76,7 @@ class RecordedMaps:
         if self.experiment.error.sel(step=step).item():
             return []
         one = self.experiment.sel(step=step)
-        return [name for name in SHOWN if name in one and np.isfinite(one[name].values).any()]
+        return [name for name in ALL_MAPS if name in one and np.isfinite(one[name].values).any()]
 
 
 class SpooledMaps:
@@ -307,7 +305,7 @@ def described(name: str) -> dict[str, Any]:
     unit = people_unit(xr.DataArray(name=name))
     return {
         "name": name,
-        "meaning": SHOWN[name].long_name,
+        "meaning": ALL_MAPS[name].long_name,
         "unit": "" if unit.text == "1" else unit.text,
         "factor": unit.factor,
         "sigma": sigma_of(name),

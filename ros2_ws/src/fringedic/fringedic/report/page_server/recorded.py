@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fringedic.datasets.quantities import ALL_MAPS
 from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
-from fringedic.report.page_server.maps import SHOWN, RecordedMaps, described, described_signal
+from fringedic.report.page_server.maps import RecordedMaps, described, described_signal
 from fringedic.report.page_server.marks import KeepMarks, shown_marks
 from fringedic.wording.translation import translatable
 
@@ -42,7 +43,7 @@ class RecordedRig:
             },
             "steps": [self._step(index, 2 if names[step] else 0) for index, step in enumerate(names)],
             "signals": [self._signal(name) for name in signal_names(self.maps.experiment)],
-            "quantities": [described(name) for name in SHOWN if name in measured],
+            "quantities": [described(name) for name in ALL_MAPS if name in measured],
         }
 
     @property
