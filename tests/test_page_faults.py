@@ -679,6 +679,7 @@ def test_form_and_text_are_one_programme(page: Page) -> None:
     expect(page.locator("#problem")).to_contain_text("to 5 mm, outside 0 to")
     position.fill("0.5")
     position.press("Tab")
+    expect(page.locator("#programme")).to_have_value(re.compile("position_mm: 0.5"))
     expect(page.locator("#plan summary")).to_have_text("Steps: 7")
     written = parse_programme(page.locator("#programme").input_value())
     assert written == parse_programme(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ from fringedic.signals import (
     with_attachments,
 )
 from fringedic.steps.recorded_parameters import of_specimen, recorded_metadata, with_specimen
-from fringedic.steps.recorded_references import REFERENCE, REFERENCE_TOPICS, STEP, RecordedReferences
+from fringedic.steps.recorded_references import REFERENCE_TOPICS, STEP, RecordedReferences, is_reference_known
 from fringedic.steps.recorded_rig import EXPERIMENT, missing_settings
 
 # Stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven.
@@ -117,8 +117,7 @@ class Timeline:
             if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
         }
         self._begun = self._exposed.keys() | {each.step for each in stages}
-        begin = next(self._times_of(reader, names["camera/exposure"]), 0)
-        self._reference_known = any(time <= begin for time in self._times_of(reader, names.get(REFERENCE)))
+        self._reference_known = is_reference_known(reader, self.experiment)
         self._announced = references.of(self.experiment)
         self.later_references = sorted(step for _, step in references.unreplaced)
         self.replaced_references = {step: reference for (_, step), reference in references.replaced.items()}
@@ -161,11 +160,6 @@ class Timeline:
         if unknown:
             options = " ".join(f"--set specimen.{name}=..." for name in unknown)
             raise DatasetError(f"{self.source}: {reason}; {_WHOLE}, or give them: {options}")
-
-    def _times_of(self, reader: BagReader, topic: str | None) -> Iterator[int]:
-        """Yield the log times of the messages of the experiment on a topic [ns]."""
-        topics = [] if topic is None else [topic]
-        return (time for _, message, time in reader.messages(topics) if message.experiment == self.experiment)
 
     def require_reference(self) -> None:
         """Raise DatasetError if it is not known which step the displacements are relative to, or if it is missing."""

@@ -122,6 +122,33 @@ def recorded_steps_and_references(bag: BagReader) -> tuple[set[int], set[int]]:
     return steps, set[int]().union(*map(recorded.of, experiments))
 
 
+def is_reference_known(bag: BagReader, experiment: str | None = None) -> bool:
+    """Return whether a recording tells which step its first frames are measured against.
+
+    The announcement was published before the first frame was; a recorder may receive it later than that.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+    experiment
+        Name; None for any. Frames without an experiment, of a free run, have no reference.
+
+    Raises
+    ------
+    RecordingError
+        It is damaged.
+    """
+    names = bag.find_optional("camera/exposure", REFERENCE)
+    first: dict[str, int] = {}
+    for relative, full in names.items():
+        for raw in bag.raw([full]):
+            of = bag.decode(full, raw.data).experiment
+            if of == experiment or (experiment is None and of):
+                first[relative] = min(raw.publish_time, first.get(relative, raw.publish_time))
+    return REFERENCE in first and first[REFERENCE] <= first.get("camera/exposure", first[REFERENCE])
+
+
 class _Starts:
     """Starts of nodes in recordings of earlier versions, whose references do not contain `previous_lost`.
 

@@ -17,6 +17,7 @@ from fringedic.recording.topics import IMAGE
 from fringedic.rig.compatibility import RigSetup
 from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.steps.recorded_parameters import MODELS, RecordedParameters
+from fringedic.steps.recorded_references import is_reference_known
 
 EXPERIMENT = "experiment"  # node that records the metadata, with sign and tare of the force
 
@@ -132,14 +133,10 @@ def require_reference(bag: BagReader) -> None:
     Raises
     ------
     RecordingError
-        No reference step was recorded before the first frame: the first file of the recording is missing.
+        No reference step was announced before the first frame: the first file of the recording is missing.
     """
-    names = bag.find_optional("camera/exposure", "experiment/reference")
-    for topic, message, _ in bag.messages(names.values()):
-        if topic == names.get("experiment/reference"):
-            return
-        if message.experiment:  # a free run has none
-            break
+    if is_reference_known(bag):
+        return
     raise RecordingError(
         f"{bag.path}: which step is the reference of the first frames is not recorded (experiment/reference); put "
         "all files of the recording into its folder, or give it: --reference STEP"

@@ -16,6 +16,7 @@ from fringedic.recording.frames import frames
 from fringedic.recording.latched import LatchedMessages
 from fringedic.report.data import ReportData
 from fringedic.report.warnings import warnings
+from fringedic.steps.recorded_rig import require_reference
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
@@ -146,6 +147,21 @@ def test_reference_is_refused_where_it_is_unknown_or_missing(tmp_path):
         process_bag(missing, output=tmp_path / "new.nc")
     with open_experiment(process_bag(missing, output=tmp_path / "new.nc", reference=1)) as found:
         assert found.reference_step.values.tolist() == [1, 1]
+
+
+def test_reference_that_the_recorder_received_after_the_first_frames_is_known(tmp_path):
+    """It was published before them; on a busy computer topics overtake each other on their way into the recording."""
+    reader = BagReader(RECORDED)
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        last = max(message.log_time for message in reader.stored())
+        for message in reader.stored():
+            late = message.topic.endswith("experiment/reference")
+            writer.write(*message._replace(log_time=last if late else message.log_time))
+    require_reference(BagReader(tmp_path / "bag"))
+    with open_experiment(process_bag(tmp_path / "bag", output=tmp_path / "new.nc")) as found:
+        assert found.reference_step.values.tolist() == [0, 0, 0]
 
 
 @pytest.mark.parametrize("seconds", [0, 60])
