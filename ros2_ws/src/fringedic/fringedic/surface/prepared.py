@@ -13,6 +13,7 @@ from fringedic.errors import CalibrationError, ImageError, SurfaceError
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.coupling_kernels import SurfaceArrays
+from fringedic.surface.height_offset import Curvature
 from fringedic.wording.arguments import check_arguments, dataset, number, of_type, optional
 
 # Standard deviations of a third difference of z beyond which a surface is discontinuous: 2e-9 of normal noise, so that
@@ -109,8 +110,12 @@ class PreparedShape:
             # close to 1, or the squares of the weights leave the range of float32
             weight = typical / variance if typical > 0 else np.ones_like(z)
             along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
-            _filter(_Weighted(z, weight, weight), self.right, kernel, True, along_rows)
-            _filter(along_rows, self.down, kernel, False, smooth)
+            moment = np.empty_like(z)
+            _filter(_Weighted(z, weight, weight), self.right, kernel, True, along_rows, moment)
+            curvature = Curvature.of(along_rows.z, z_filter)
+            curvature.remove(along_rows.z, moment, along_rows=True)
+            _filter(along_rows, self.down, kernel, False, smooth, moment)
+            curvature.remove(smooth.z, moment, along_rows=False)
             z, variance = smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
         self.z, self.variance = z, variance
 
@@ -293,19 +298,26 @@ def _add_places(factor: np.float32, whole: np.ndarray, before: np.ndarray, after
 
 
 @njit(cache=True, nogil=True)
-def _add_spread(factor: np.float32, whole: np.ndarray, before: np.ndarray, after: np.ndarray, sums: np.ndarray) -> None:
-    """Add a pair of neighbours to the sum of squared weights times variances."""
+def _add_both(factor: np.float32, whole: np.ndarray, before: np.ndarray, after: np.ndarray, sums: np.ndarray) -> None:
+    """Add a pair of neighbours to a sum: of squared weights times variances, or of weights times squared distances."""
     for j in range(len(whole)):
         sums[j] += factor * (before[j] + after[j]) if whole[j] else np.float32(0)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _filter(source: _Weighted, runs_on: np.ndarray, kernel: np.ndarray, along_rows: bool, result: _Weighted) -> None:
+def _filter(
+    source: _Weighted,
+    runs_on: np.ndarray,
+    kernel: np.ndarray,
+    along_rows: bool,
+    result: _Weighted,
+    moment: np.ndarray,
+) -> None:
     """Compute the weighted mean over the neighbours on both sides of each pixel, as far as the surface continues.
 
     The weight of a neighbour is that of its noise: dark speckles have many times the variance of their surroundings.
     The weighted mean of the heights belongs to the weighted mean of their places; the unweighted slope of the same
-    neighbours corrects it to the place of the pixel.
+    neighbours corrects it to the place of the pixel. `moment` becomes the second moment of the weights [px^2].
     """
     z, weight, spread = source
     smooth, total, spreads = result  # Numba loses what is written to fields of a named tuple inside prange
@@ -317,6 +329,7 @@ def _filter(source: _Weighted, runs_on: np.ndarray, kernel: np.ndarray, along_ro
             np.empty(columns, np.float32),
         )
         sum_wk, rise = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
+        sum_wkk = np.zeros(columns, np.float32)
         length, whole = np.zeros(columns, np.float32), np.ones(columns, np.bool_)
         for j in range(columns):
             sum_w[j] = kernel[0] * weight[i, j]
@@ -331,15 +344,18 @@ def _filter(source: _Weighted, runs_on: np.ndarray, kernel: np.ndarray, along_ro
                 _add_rise(distance, joined, z[i, first], z[i, last], rise[inner], length[inner])
                 _add_mean(share, joined, z[i, first], z[i, last], before, after, sum_w[inner], sum_wz[inner])
                 _add_places(share * distance, joined, before, after, sum_wk[inner])
-                _add_spread(share * share, joined, spread[i, first], spread[i, last], sum_s[inner])
+                _add_both(share * distance * distance, joined, before, after, sum_wkk[inner])
+                _add_both(share * share, joined, spread[i, first], spread[i, last], sum_s[inner])
             elif not along_rows and i - k >= 0 and i + k < rows:
                 _join(whole, runs_on[i - k], runs_on[i + k - 1])
                 _add_rise(distance, whole, z[i - k], z[i + k], rise, length)
                 _add_mean(share, whole, z[i - k], z[i + k], weight[i - k], weight[i + k], sum_w, sum_wz)
                 _add_places(share * distance, whole, weight[i - k], weight[i + k], sum_wk)
-                _add_spread(share * share, whole, spread[i - k], spread[i + k], sum_s)
+                _add_both(share * distance * distance, whole, weight[i - k], weight[i + k], sum_wkk)
+                _add_both(share * share, whole, spread[i - k], spread[i + k], sum_s)
         for j in range(columns):
             slope = rise[j] / max(length[j], np.float32(1))
             smooth[i, j] = (sum_wz[j] - slope * sum_wk[j]) / sum_w[j]
             total[i, j] = sum_w[j]
             spreads[i, j] = sum_s[j]
+            moment[i, j] = sum_wkk[j] / sum_w[j]
