@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -166,6 +167,8 @@ def load_campaign(path: Path) -> Campaign:
     CampaignError
         The calibration, or the registration, cannot be read.
     """
+    from fringedic.rig.model import RigModel
+    from fringedic.sensors.files import registration_from_text
     from fringedic.steps.recorded_parameters import RecordedParameters
 
     file = path / FILE if path.is_dir() else path
@@ -174,8 +177,14 @@ def load_campaign(path: Path) -> Campaign:
     for each in entries:
         RecordedParameters(each.settings)
     named = {each.calibration for each in entries if each.calibration}
-    calibrations = {name: _calibration_text(file, name) for name in sorted(named)}
-    return Campaign(file.parent, content, calibrations, _registration_text(file, content))
+    calibrations = {
+        name: _checked_text(file, "calibration", file.parent / name, RigModel.from_text) for name in sorted(named)
+    }
+    registration = ""
+    if content.registration:
+        check = partial(registration_from_text, place=content.registration)
+        registration = _checked_text(file, "registration", Path(content.registration), check)
+    return Campaign(file.parent, content, calibrations, registration)
 
 
 def address(store: str, folder: Path) -> str:
@@ -202,26 +211,11 @@ def store_address(place: str | os.PathLike[str]) -> str:
     return str(path.absolute())
 
 
-def _registration_text(file: Path, content: CampaignFile) -> str:
-    from fringedic.sensors.files import registration_from_text
-
-    if not content.registration:
-        return ""
-    try:
-        text = Path(content.registration).read_text("utf-8")
-        registration_from_text(text, content.registration)
-    except (OSError, UnicodeDecodeError, CalibrationError) as error:
-        raise CampaignError(f"{file}: registration {content.registration}: {error}") from error
-    return text
-
-
-def _calibration_text(file: Path, calibration: str) -> str:
-    from fringedic.rig.model import RigModel
-
-    path = file.parent / calibration
+def _checked_text(file: Path, entry: str, path: Path, check: Callable[[str], object]) -> str:
+    """Return the text of a file that a campaign names, once it was read without an error."""
     try:
         text = path.read_text("utf-8")
-        RigModel.from_text(text)
+        check(text)
     except (OSError, ValueError, CalibrationError) as error:
-        raise CampaignError(f"{file}: calibration {path}: {error}") from error
+        raise CampaignError(f"{file}: {entry} {path}: {error}") from error
     return text

@@ -76,8 +76,9 @@ def couple(
         attribute of the shapes.
     z_filter
         Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. Its weights are divided by the
-        variances of z; the local slope corrects for the centroid of uneven weights. The filter uses only points on both
-        sides of a pixel that are measured, so that it does not cross discontinuities.
+        variances of z; the local slope corrects for the centroid of uneven weights, and the curvature of the surface in
+        10 standard deviations for their second moment. The filter uses only points on both sides of a pixel that are
+        measured, so that it does not cross discontinuities.
     orientation
         Direction of the fringes, for the uncertainty of the calibration.
 

@@ -12,19 +12,19 @@ from typing import NamedTuple, Self
 import numpy as np
 from numba import njit, prange
 
-_HALF = 6  # samples from the centre of a window to its border, one per standard deviation of the Gaussian
+_HALF = 5  # samples from the centre of a window to its border, one per standard deviation of the Gaussian
 _APART = 4  # standard deviations from window to window
 _ENOUGH = 0.6  # of the samples of a window are measured
-_OUTLIER = 3.0  # times the residual that is usual, beyond which a window contains an edge
+_OUTLIER = 3.0  # times the usual residual or the offset, beyond which a window contains an edge
 
 
-class Curvature(NamedTuple):
+class FilterOffset(NamedTuple):
     """Second derivatives of a height at nodes, and where they are known.
 
     Attributes
     ----------
     step
-        Distance of the nodes [px]; the first one is half of it from the corner.
+        Distance of the nodes [px]; the first one is half of it away from the first row and column.
     along_rows, along_columns : (row, column)
         Second derivatives [m/px^2], 0 where not known.
     known : (row, column)
@@ -38,10 +38,10 @@ class Curvature(NamedTuple):
 
     @classmethod
     def of(cls, z: np.ndarray, width: float) -> Self:
-        """Fit a polynomial of the second degree in windows of 12 standard deviations of the Gaussian.
+        """Fit a polynomial of the second degree in windows of 10 standard deviations of the Gaussian.
 
-        A window that contains an edge of the surface or too few measured pixels is not known: its residuals are larger
-        than usual.
+        A window that contains an edge of the surface, or too few measured pixels, is not known. Its residuals are
+        larger than usual by much more than the offset.
 
         Parameters
         ----------
@@ -78,47 +78,47 @@ class Curvature(NamedTuple):
 @njit(cache=True, nogil=True, parallel=True)
 def _fit(z: np.ndarray, step: int, stride: int, curvatures: np.ndarray, residuals: np.ndarray) -> None:
     """Fit a polynomial of the second degree around each node; set z_xx, z_yy [m/px^2] and the RMS of residuals [m]."""
-    rows, columns = z.shape
     reach = _HALF * stride
     for a in prange(residuals.shape[0]):
-        row = a * step + step // 2
         for b in range(residuals.shape[1]):
-            column = b * step + step // 2
-            # sums of u^p v^q and of z u^p v^q over the samples, u along the row and v along the column
-            powers, heights, squares, known = np.zeros((5, 5)), np.zeros((3, 3)), 0.0, 0
-            for i in range(max(row - reach, row % stride), min(row + reach + 1, rows), stride):
-                v = (i - row) / reach
-                along, height = np.zeros(5), np.zeros(3)
-                for j in range(max(column - reach, column % stride), min(column + reach + 1, columns), stride):
-                    value = np.float64(z[i, j])
-                    if not np.isfinite(value):
-                        continue
-                    u = (j - column) / reach
-                    known += 1
-                    squares += value * value
-                    u2 = u * u
-                    along[0] += 1.0
-                    along[1] += u
-                    along[2] += u2
-                    along[3] += u2 * u
-                    along[4] += u2 * u2
-                    height[0] += value
-                    height[1] += value * u
-                    height[2] += value * u2
-                power = 1.0
-                for q in range(5):
-                    for p in range(5 - q):
-                        powers[p, q] += power * along[p]
-                    if q < 3:
-                        for p in range(3 - q):
-                            heights[p, q] += power * height[p]
-                    power *= v
+            powers, heights, squares = _sums(z, a * step + step // 2, b * step + step // 2, stride)
+            known = powers[0, 0]
             if known < _ENOUGH * (2 * _HALF + 1) ** 2:
                 continue
             solution, explained = _solve(powers, heights)
             curvatures[0, a, b] = 2.0 * solution[3] / reach**2
             curvatures[1, a, b] = 2.0 * solution[5] / reach**2
-            residuals[a, b] = np.sqrt(max(squares - explained, 0.0) / (known - 6))
+            residuals[a, b] = np.sqrt(max(squares - explained, 0.0) / (known - 6.0))
+
+
+@njit(cache=True, nogil=True)
+def _sums(z: np.ndarray, row: int, column: int, stride: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return sums of u^p v^q, of z u^p v^q and of z^2 over a window, with u along rows and v along columns, -1 to 1."""
+    reach = _HALF * stride
+    powers, heights, squares = np.zeros((5, 5)), np.zeros((3, 3)), 0.0
+    for i in range(max(row - reach, row % stride), min(row + reach + 1, z.shape[0]), stride):
+        of_row, height = np.zeros(5), np.zeros(3)
+        for j in range(max(column - reach, column % stride), min(column + reach + 1, z.shape[1]), stride):
+            value = np.float64(z[i, j])
+            if not np.isfinite(value):
+                continue
+            squares += value * value
+            u = (j - column) / reach
+            power = 1.0
+            for p in range(5):
+                of_row[p] += power
+                if p < 3:
+                    height[p] += power * value
+                power *= u
+        v = (i - row) / reach
+        power = 1.0
+        for q in range(5):
+            for p in range(5 - q):
+                powers[p, q] += power * of_row[p]
+                if q < 3 and p < 3 - q:
+                    heights[p, q] += power * height[p]
+            power *= v
+    return powers, heights, squares
 
 
 @njit(cache=True, nogil=True)

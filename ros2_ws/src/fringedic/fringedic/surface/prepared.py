@@ -13,7 +13,7 @@ from fringedic.errors import CalibrationError, ImageError, SurfaceError
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.coupling_kernels import SurfaceArrays
-from fringedic.surface.height_offset import Curvature
+from fringedic.surface.height_offset import FilterOffset
 from fringedic.wording.arguments import check_arguments, dataset, number, of_type, optional
 
 # Standard deviations of a third difference of z beyond which a surface is discontinuous: 2e-9 of normal noise, so that
@@ -112,10 +112,10 @@ class PreparedShape:
             along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
             moment = np.empty_like(z)
             _filter(_Weighted(z, weight, weight), self.right, kernel, True, along_rows, moment)
-            curvature = Curvature.of(along_rows.z, z_filter)
-            curvature.remove(along_rows.z, moment, along_rows=True)
+            offset = FilterOffset.of(along_rows.z, z_filter)
+            offset.remove(along_rows.z, moment, along_rows=True)
             _filter(along_rows, self.down, kernel, False, smooth, moment)
-            curvature.remove(smooth.z, moment, along_rows=False)
+            offset.remove(smooth.z, moment, along_rows=False)
             z, variance = smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
         self.z, self.variance = z, variance
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -132,9 +133,7 @@ def run_experiment(
         if resume:
             graph, before = go_on(graph, folder, programme, [rig], calibrations, progress, domain=domain)
             announce(forecast(rig, programme, before.done), programme.experiment, folder, progress)
-        if (calibration_file := rig.calibration_file) is not None:
-            for words in in_force_words(calibration_file, datetime.now(UTC)):
-                progress.note(words)
+        note_calibrations([rig], progress)
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
         with RunningGraph(graph, folder / "logs", domain=domain) as running:
             driven = drive(running, programme, progress, domain=domain, before=before, control=control)
@@ -160,6 +159,15 @@ def announce(expected: Forecast, name: str, folder: Path, progress: Progress) ->
     """Tell what a programme needs, and refuse it if the disk has less space."""
     progress.note(f"{name}: {forecast_sentence(expected)}")
     expected.check_disk(folder)
+
+
+def note_calibrations(rigs: Sequence[RigFile], progress: Progress) -> None:
+    """Tell which calibrations are in force, and what is to know about them; of several sensors with their names."""
+    for rig in rigs:
+        whose = f"{rig.sensor}: " if len(rigs) > 1 else ""
+        if rig.calibration_file is not None:
+            for words in in_force_words(rig.calibration_file, datetime.now(UTC)):
+                progress.note(f"{whose}{words}")
 
 
 def exact_reconstruction(rig: RigFile) -> Reconstruct | None:

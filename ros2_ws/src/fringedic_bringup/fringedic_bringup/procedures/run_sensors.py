@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import reduce
 from pathlib import Path
 
-from fringedic.calibration.sentences import in_force_words
 from fringedic.command.outcome import Progress, RunReport
 from fringedic.command.run_results import sign_results, write_joined_results, write_results
 from fringedic.configuration.forecast import Forecast, forecast
@@ -31,7 +29,7 @@ from fringedic_bringup.procedures.continuing import (
 from fringedic_bringup.procedures.driving import Driven, drive
 from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import join_parts
-from fringedic_bringup.procedures.run import announce, exact_reconstruction, load_rig
+from fringedic_bringup.procedures.run import announce, exact_reconstruction, load_rig, note_calibrations
 
 
 @dataclass(frozen=True)
@@ -125,10 +123,7 @@ def run_sensors(
             announce(_forecast(sensors, programme, before.done), name, folder, progress)
         elif sensors.registration is not None:  # it belongs to the recording, as the calibrations
             shutil.copyfile(sensors.registration, folder / REGISTRATION_FILE)
-        for rig in sensors.rigs:
-            if rig.calibration_file is not None:
-                for words in in_force_words(rig.calibration_file, datetime.now(UTC)):
-                    progress.note(f"{rig.sensor}: {words}")
+        note_calibrations(sensors.rigs, progress)
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
         with RunningGraph(graph, folder / "logs", domain=domain) as running:
             driven = drive(running, programme, progress, domain=domain, before=before, control=control)
