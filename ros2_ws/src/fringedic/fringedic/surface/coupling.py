@@ -76,9 +76,9 @@ def couple(
         attribute of the shapes.
     z_filter
         Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. Its weights are divided by the
-        variances of z; the local slope corrects for the centroid of uneven weights, and the curvature of the surface in
-        10 standard deviations for their second moment. The filter uses only points on both sides of a pixel that are
-        measured, so that it does not cross discontinuities.
+        variances of z; the local slope corrects for the centroid of uneven weights. The filter uses only points on both
+        sides of a pixel that are measured, so that it does not cross discontinuities. It moves curved surfaces by half
+        of the second moment of its weights times the curvature; the reference positions are corrected for that.
     orientation
         Direction of the fringes, for the uncertainty of the calibration.
 
@@ -138,16 +138,13 @@ def couple(
     )
     rows, columns = pixel_positions(displacement, in_plane.x.shape)
     result = np.empty((len(FIELDS), *in_plane.x.shape), np.float32)
-    couple_points(
-        before.arrays,
-        after.arrays,
-        in_plane,
-        rows - before.rows[0],
-        columns - before.columns[0],
-        _tabulate_noise_gain(z_filter),
-        after.camera_distance,
-        result,
-    )
+    places = rows - before.rows[0], columns - before.columns[0]
+    gain = _tabulate_noise_gain(z_filter)
+    couple_points(before.arrays, after.arrays, in_plane, *places, gain, after.camera_distance, result)
+    # Points stay on their lines of sight. Both heights have the same offset, so that their difference has none.
+    offsets = before.offsets(*places)
+    result[:2] *= 1 - offsets / (result[2] - before.camera_distance)
+    result[2] -= offsets
     if calibration is not None and calibration.parameter_names:
         column, row = np.meshgrid(columns, rows)
         moved = (column + in_plane.x, row + in_plane.y, result[2] + result[5])

@@ -1,8 +1,8 @@
 """Offset of a smoothed height by the curvature of the surface.
 
-A weighted mean of neighbours whose weights have the second moment m lies off a curved surface by m z_xx / 2. The
-curvature of a surface changes less from place to place than its noise does, so that it is measured in a window several
-times as wide as that of the mean, and the offset is taken away at nearly no cost in noise.
+A weighted mean of neighbours whose weights have the second moments m_x and m_y lies off a curved surface by
+(m_x z_xx + m_y z_yy) / 2. The curvature of a surface changes less from place to place than its noise does: it is
+measured in a window several times as wide as that of the mean, so that the correction adds little noise.
 """
 
 from __future__ import annotations
@@ -14,76 +14,72 @@ from numba import njit, prange
 
 _HALF = 5  # samples from the centre of a window to its border, one per standard deviation of the Gaussian
 _APART = 4  # standard deviations from window to window
-_ENOUGH = 0.6  # of the samples of a window are measured
+_FEWEST, _ENOUGH = 0.5, 0.75  # of the samples of a window are measured; its weight rises from 0 to 1 between them
 _OUTLIER = 3.0  # times the usual residual or the offset, beyond which a window contains an edge
+_STEEP = 8  # power of the residual by which its curvature then falls to 0
+_WEAKEST = 0.25  # sum of weights, below which the offset falls to 0
 
 
-class FilterOffset(NamedTuple):
-    """Second derivatives of a height at nodes, and where they are known.
+class Curvature(NamedTuple):
+    """Second derivatives of a height at nodes.
 
     Attributes
     ----------
     step
         Distance of the nodes [px]; the first one is half of it away from the first row and column.
     along_rows, along_columns : (row, column)
-        Second derivatives [m/px^2], 0 where not known.
-    known : (row, column)
-        1 or 0.
+        Second derivatives [m/px^2].
+    weight : (row, column)
+        Of the node, from 0 to 1.
     """
 
     step: int
     along_rows: np.ndarray
     along_columns: np.ndarray
-    known: np.ndarray
+    weight: np.ndarray
 
     @classmethod
     def of(cls, z: np.ndarray, width: float) -> Self:
         """Fit a polynomial of the second degree in windows of 10 standard deviations of the Gaussian.
 
-        A window that contains an edge of the surface, or too few measured pixels, is not known. Its residuals are
-        larger than usual by much more than the offset.
+        The curvature of a window that contains an edge of the surface is taken as 0: its residuals are larger than
+        usual by much more than the offset.
 
         Parameters
         ----------
         z
-            (row, column) float32, heights [m] that are smoothed along their rows; NaN where not measured.
+            (row, column) float32, smoothed heights [m]; NaN where not measured.
         width
             Standard deviation of the Gaussian [px].
         """
         step = max(_APART, round(_APART * width))
         nodes = tuple(max(1, size // step) for size in z.shape)
-        values, residuals = np.zeros((2, *nodes)), np.full(nodes, np.nan)
-        _fit(z, step, max(1, round(width)), values, residuals)
-        fitted = residuals[np.isfinite(residuals)]
+        values, residuals, measured = np.zeros((2, *nodes)), np.zeros(nodes), np.zeros(nodes)
+        _fit(z, step, max(1, round(width)), values, residuals, measured)
         offsets = 0.5 * width**2 * np.abs(values).sum(axis=0)
-        usual = np.maximum(np.median(fitted) if len(fitted) else 0.0, offsets)
-        known = (residuals <= _OUTLIER * usual).astype(float)  # NaN is not
-        return cls(step, values[0] * known, values[1] * known, known)
-
-    def remove(self, z: np.ndarray, moment: np.ndarray, *, along_rows: bool) -> None:
-        """Move heights that are means along one direction back to the surface, in place.
-
-        Parameters
-        ----------
-        z
-            (row, column) float32 [m].
-        moment
-            (row, column) float32, second moment of the weights of each mean [px^2].
-        along_rows
-            The means are those along rows.
-        """
-        _subtract(z, moment, self.step, self.along_rows if along_rows else self.along_columns, self.known)
+        usual = np.median(residuals[measured > _FEWEST]) if (measured > _FEWEST).any() else 0.0
+        highest = np.maximum(_OUTLIER * np.maximum(usual, offsets), np.finfo(float).tiny)
+        values /= 1.0 + (residuals / highest) ** _STEEP
+        weight = np.clip((measured - _FEWEST) / (_ENOUGH - _FEWEST), 0.0, 1.0)
+        return cls(step, values[0], values[1], weight)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fit(z: np.ndarray, step: int, stride: int, curvatures: np.ndarray, residuals: np.ndarray) -> None:
-    """Fit a polynomial of the second degree around each node; set z_xx, z_yy [m/px^2] and the RMS of residuals [m]."""
+def _fit(
+    z: np.ndarray, step: int, stride: int, curvatures: np.ndarray, residuals: np.ndarray, measured: np.ndarray
+) -> None:
+    """Fit a polynomial of the second degree around each node.
+
+    Sets z_xx and z_yy [m/px^2], the RMS of the residuals [m] and the measured part of the samples; with too few of them
+    the others stay 0.
+    """
     reach = _HALF * stride
     for a in prange(residuals.shape[0]):
         for b in range(residuals.shape[1]):
             powers, heights, squares = _sums(z, a * step + step // 2, b * step + step // 2, stride)
             known = powers[0, 0]
-            if known < _ENOUGH * (2 * _HALF + 1) ** 2:
+            measured[a, b] = known / (2 * _HALF + 1) ** 2
+            if measured[a, b] <= _FEWEST:
                 continue
             solution, explained = _solve(powers, heights)
             curvatures[0, a, b] = 2.0 * solution[3] / reach**2
@@ -146,20 +142,53 @@ def _solve(powers: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _subtract(z: np.ndarray, moment: np.ndarray, step: int, curvatures: np.ndarray, known: np.ndarray) -> None:
-    """Subtract the offset, with curvatures that are linear between those nodes where they are known."""
-    rows, columns = known.shape
-    for i in prange(z.shape[0]):
-        upper, lower, below = _between(i, step, rows)
-        for j in range(z.shape[1]):
-            left, right, beyond = _between(j, step, columns)
-            weight, curvature = 0.0, 0.0
-            for a, share_a in ((upper, 1.0 - below), (lower, below)):
-                for b, share_b in ((left, 1.0 - beyond), (right, beyond)):
-                    weight += share_a * share_b * known[a, b]
-                    curvature += share_a * share_b * curvatures[a, b]
-            if weight > 0.0:
-                z[i, j] -= np.float32(moment[i, j] * curvature / (2.0 * weight))
+def set_offsets(
+    curvature: Curvature,
+    moment_of_rows: np.ndarray,
+    moment_of_columns: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    offsets: np.ndarray,
+) -> None:
+    """Compute how far the smoothed height lies from the surface at points.
+
+    Parameters
+    ----------
+    curvature
+        Of the surface.
+    moment_of_rows, moment_of_columns : (row, column) float32
+        Second moments of the weights along rows and along columns [px^2].
+    rows, columns : (row,), (column,)
+        Places of the points [px].
+    offsets : (row, column) float32
+        Becomes the smoothed height minus that of the surface [m].
+    """
+    step, along_rows, along_columns, weights = curvature
+    last_row, last_column = moment_of_rows.shape[0] - 1, moment_of_rows.shape[1] - 1
+    for a in prange(len(rows)):
+        i = min(max(int(rows[a] + 0.5), 0), last_row)
+        for b in range(len(columns)):
+            j = min(max(int(columns[b] + 0.5), 0), last_column)
+            c_x, c_y = _at(step, along_rows, along_columns, weights, i, j)
+            offsets[a, b] = np.float32(0.5 * (moment_of_rows[i, j] * c_x + moment_of_columns[i, j] * c_y))
+
+
+@njit(cache=True, nogil=True)
+def _at(
+    step: int, along_rows: np.ndarray, along_columns: np.ndarray, weights: np.ndarray, i: int, j: int
+) -> tuple[float, float]:
+    """Return the second derivatives at a pixel [m/px^2], which are linear between nodes of equal weight."""
+    upper, lower, below = _between(i, step, weights.shape[0])
+    left, right, beyond = _between(j, step, weights.shape[1])
+    weight, c_x, c_y = 0.0, 0.0, 0.0
+    for a, share_a in ((upper, 1.0 - below), (lower, below)):
+        for b, share_b in ((left, 1.0 - beyond), (right, beyond)):
+            share = share_a * share_b * weights[a, b]
+            weight += share
+            c_x += share * along_rows[a, b]
+            c_y += share * along_columns[a, b]
+    weight = max(weight, _WEAKEST)
+    return c_x / weight, c_y / weight
 
 
 @njit(cache=True, nogil=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from fringedic.errors import CalibrationError, ImageError, SurfaceError
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.coupling_kernels import SurfaceArrays
-from fringedic.surface.height_offset import FilterOffset
+from fringedic.surface.height_offset import Curvature, set_offsets
 from fringedic.wording.arguments import check_arguments, dataset, number, of_type, optional
 
 # Standard deviations of a third difference of z beyond which a surface is discontinuous: 2e-9 of normal noise, so that
@@ -109,20 +110,40 @@ class PreparedShape:
             typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
             # close to 1, or the squares of the weights leave the range of float32
             weight = typical / variance if typical > 0 else np.ones_like(z)
-            along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
-            moment = np.empty_like(z)
-            _filter(_Weighted(z, weight, weight), self.right, kernel, True, along_rows, moment)
-            offset = FilterOffset.of(along_rows.z, z_filter)
-            offset.remove(along_rows.z, moment, along_rows=True)
-            _filter(along_rows, self.down, kernel, False, smooth, moment)
-            offset.remove(smooth.z, moment, along_rows=False)
+            along_rows, smooth = (_Weighted(*(np.empty_like(z) for _ in range(4))) for _ in range(2))
+            own = np.empty_like(z)
+            _filter(_Weighted(z, weight, weight, own), self.right, kernel, True, along_rows, along_rows.moment)
+            _filter(along_rows, self.down, kernel, False, smooth, own)
             z, variance = smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
+            self._moments = smooth.moment, own  # of the weights along rows and along columns [px^2]
         self.z, self.variance = z, variance
 
     @property
     def arrays(self) -> SurfaceArrays:
         """Arrays for the kernels."""
         return SurfaceArrays(self.z, self.variance, self.right, self.down, self.rays)
+
+    @cached_property
+    def _curvature(self) -> Curvature:
+        return Curvature.of(self.z, self.z_filter)
+
+    def offsets(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return how far the filter has moved curved surfaces at points: smoothed height minus that of the surface.
+
+        Parameters
+        ----------
+        rows, columns : (row,), (column,)
+            Places of the points from the first pixel [px].
+
+        Returns
+        -------
+        ndarray
+            (row, column) float32 [m], 0 without a filter.
+        """
+        offsets = np.zeros((len(rows), len(columns)), np.float32)
+        if self.z_filter > 0:
+            set_offsets(self._curvature, *self._moments, rows, columns, offsets)
+        return offsets
 
 
 def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
@@ -246,12 +267,13 @@ class _Weighted(NamedTuple):
     """Heights with their weights, (row, column) float32.
 
     `weight` are inverse variances of z, or sums of them; `spread` are the variances of z times the squares of these
-    sums.
+    sums. `moment` are the second moments of the weights along rows [px^2], which single heights do not have.
     """
 
     z: np.ndarray
     weight: np.ndarray
     spread: np.ndarray
+    moment: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -304,6 +326,21 @@ def _add_both(factor: np.float32, whole: np.ndarray, before: np.ndarray, after: 
         sums[j] += factor * (before[j] + after[j]) if whole[j] else np.float32(0)
 
 
+@njit(cache=True, nogil=True)
+def _add_moments(
+    share: np.float32,
+    whole: np.ndarray,
+    of_before: np.ndarray,
+    of_after: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    sums: np.ndarray,
+) -> None:
+    """Add a pair of neighbours to the sum of weighted moments of another direction."""
+    for j in range(len(whole)):
+        sums[j] += share * (before[j] * of_before[j] + after[j] * of_after[j]) if whole[j] else np.float32(0)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _filter(
     source: _Weighted,
@@ -311,16 +348,16 @@ def _filter(
     kernel: np.ndarray,
     along_rows: bool,
     result: _Weighted,
-    moment: np.ndarray,
+    own_moment: np.ndarray,
 ) -> None:
     """Compute the weighted mean over the neighbours on both sides of each pixel, as far as the surface continues.
 
     The weight of a neighbour is that of its noise: dark speckles have many times the variance of their surroundings.
     The weighted mean of the heights belongs to the weighted mean of their places; the unweighted slope of the same
-    neighbours corrects it to the place of the pixel. `moment` becomes the second moment of the weights [px^2].
+    neighbours corrects it to the place of the pixel. `own_moment` becomes the second moment along this direction.
     """
-    z, weight, spread = source
-    smooth, total, spreads = result  # Numba loses what is written to fields of a named tuple inside prange
+    z, weight, spread, moment = source
+    smooth, total, spreads, moments = result  # Numba loses what is written to fields of a named tuple inside prange
     rows, columns = z.shape
     for i in prange(rows):
         sum_w, sum_wz, sum_s = (
@@ -329,12 +366,13 @@ def _filter(
             np.empty(columns, np.float32),
         )
         sum_wk, rise = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
-        sum_wkk = np.zeros(columns, np.float32)
+        sum_wkk, sum_wm = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
         length, whole = np.zeros(columns, np.float32), np.ones(columns, np.bool_)
         for j in range(columns):
             sum_w[j] = kernel[0] * weight[i, j]
             sum_wz[j] = kernel[0] * weight[i, j] * z[i, j]
             sum_s[j] = kernel[0] * kernel[0] * spread[i, j]
+            sum_wm[j] = np.float32(0) if along_rows else kernel[0] * weight[i, j] * moment[i, j]
         for k in range(1, len(kernel)):
             share, distance = kernel[k], np.float32(k)
             if along_rows and 2 * k < columns:
@@ -352,10 +390,13 @@ def _filter(
                 _add_mean(share, whole, z[i - k], z[i + k], weight[i - k], weight[i + k], sum_w, sum_wz)
                 _add_places(share * distance, whole, weight[i - k], weight[i + k], sum_wk)
                 _add_both(share * distance * distance, whole, weight[i - k], weight[i + k], sum_wkk)
+                _add_moments(share, whole, moment[i - k], moment[i + k], weight[i - k], weight[i + k], sum_wm)
                 _add_both(share * share, whole, spread[i - k], spread[i + k], sum_s)
         for j in range(columns):
             slope = rise[j] / max(length[j], np.float32(1))
             smooth[i, j] = (sum_wz[j] - slope * sum_wk[j]) / sum_w[j]
             total[i, j] = sum_w[j]
             spreads[i, j] = sum_s[j]
-            moment[i, j] = sum_wkk[j] / sum_w[j]
+            if not along_rows:
+                moments[i, j] = sum_wm[j] / sum_w[j]
+            own_moment[i, j] = sum_wkk[j] / sum_w[j]
