@@ -517,9 +517,9 @@ minus that of the points of one, with its standard uncertainty by the scatter of
 {rows}
 {without}
 The errors of a calibration are common to all points of a rig, so that the difference of the shape is larger in one rig
-than in another. The offset that the filter of the height causes on a curved surface is corrected, except for a part of
-it at a grazing angle, which no uncertainty contains: the rows of two filters show it. The mean radius contains an equal
-part of all angles. A window of the strain on a cylinder is large beside the part
+than in another. The filter of the height moves a convex surface inwards. Reference positions are corrected for that,
+except for a part of it at a grazing angle, which no uncertainty contains: both sensors of an overlap on the cylinder
+see it at about 45 degrees, and the rows of two filters show it. A window of the strain is large beside the part
 that two sensors see, so that its z-scores come from few independent windows. The stated uncertainty of the mean strain
 assumes that windows which do not overlap are independent.
 """
