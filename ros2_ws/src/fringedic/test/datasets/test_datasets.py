@@ -659,7 +659,9 @@ def test_the_strain_of_a_dataset_is_that_of_the_run_for_the_same_window(bench, p
                 for name in STRAIN_FIELDS:
                     expected = dataset[name].sel(step=step).values
                     assert np.isfinite(expected).mean() > 0.4
-                    np.testing.assert_allclose(again[name].values, expected, rtol=2e-6, atol=1e-12, err_msg=name)
+                    # a resolution is the root of a difference of nearly equal squares
+                    least = 1e-9 if name.startswith("resolution") else 1e-12
+                    np.testing.assert_allclose(again[name].values, expected, rtol=2e-6, atol=least, err_msg=name)
                 assert again.attrs["virtual_strain_gauge_px"] == 24 + 24
     wider = processed.fringedic.strain(window=41, step=3)
     assert 0.1 < float((wider.sigma_e_11 / processed.sigma_e_11.sel(step=3)).median()) < 0.6
