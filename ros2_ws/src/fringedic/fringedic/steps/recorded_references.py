@@ -123,9 +123,10 @@ def recorded_steps_and_references(bag: BagReader) -> tuple[set[int], set[int]]:
 
 
 def is_reference_known(bag: BagReader, experiment: str | None = None) -> bool:
-    """Return whether a recording tells which step its first frames are measured against.
+    """Return whether the reference of the first frames of a recording is known.
 
-    The announcement was published before the first frame was; a recorder may receive it later than that.
+    Its announcement was published before the first frame was; a recorder may receive it later than that. The recording
+    is read as far as the first of each.
 
     Parameters
     ----------
@@ -139,14 +140,19 @@ def is_reference_known(bag: BagReader, experiment: str | None = None) -> bool:
     RecordingError
         It is damaged.
     """
-    names = bag.find_optional("camera/exposure", REFERENCE)
-    first: dict[str, int] = {}
-    for relative, full in names.items():
-        for raw in bag.raw([full]):
-            of = bag.decode(full, raw.data).experiment
-            if of == experiment or (experiment is None and of):
-                first[relative] = min(raw.publish_time, first.get(relative, raw.publish_time))
-    return REFERENCE in first and first[REFERENCE] <= first.get("camera/exposure", first[REFERENCE])
+
+    def published(topic: str) -> int | None:
+        for raw in bag.raw(bag.find_optional(topic).values()):
+            found = bag.decode(raw.topic, raw.data).experiment
+            if found == experiment or (experiment is None and found):
+                return raw.publish_time
+        return None
+
+    announced = published(REFERENCE)
+    if announced is None:
+        return False
+    exposed = published("camera/exposure")
+    return exposed is None or announced <= exposed
 
 
 class _Starts:

@@ -123,7 +123,7 @@ def require_calibration(bag: BagReader) -> None:
 
 
 def require_reference(bag: BagReader) -> None:
-    """Raise an error for a recording that does not tell which step its first frames are measured against.
+    """Raise an error for a recording in which the reference of the first frames is not known.
 
     Parameters
     ----------

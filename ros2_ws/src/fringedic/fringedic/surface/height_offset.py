@@ -12,6 +12,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numba import njit, prange
 
+from fringedic.surface.coarse_grid import by_point, interpolate_column, interpolate_row
+
 _HALF = 5  # samples from the centre of a window to its border, one per standard deviation of the Gaussian
 _APART = 4  # standard deviations from window to window
 _FEWEST, _ENOUGH = 0.5, 0.75  # of the samples of a window are measured; its weight rises from 0 to 1 between them
@@ -27,16 +29,12 @@ class Curvature(NamedTuple):
     ----------
     step
         Distance of the nodes [px]; the first one is half of it away from the first row and column.
-    along_rows, along_columns : (row, column)
-        Second derivatives [m/px^2].
-    weight : (row, column)
-        Of the node, from 0 to 1.
+    nodes : (row, column, 3)
+        Second derivatives along rows and along columns [m/px^2] times the weight of the node, and this weight, 0 to 1.
     """
 
     step: int
-    along_rows: np.ndarray
-    along_columns: np.ndarray
-    weight: np.ndarray
+    nodes: np.ndarray
 
     @classmethod
     def of(cls, z: np.ndarray, width: float) -> Self:
@@ -53,15 +51,15 @@ class Curvature(NamedTuple):
             Standard deviation of the Gaussian [px].
         """
         step = max(_APART, round(_APART * width))
-        nodes = tuple(max(1, size // step) for size in z.shape)
-        values, residuals, measured = np.zeros((2, *nodes)), np.zeros(nodes), np.zeros(nodes)
+        count = tuple(max(1, size // step) for size in z.shape)
+        values, residuals, measured = np.zeros((2, *count)), np.zeros(count), np.zeros(count)
         _fit(z, step, max(1, round(width)), values, residuals, measured)
         offsets = 0.5 * width**2 * np.abs(values).sum(axis=0)
         usual = np.median(residuals[measured > _FEWEST]) if (measured > _FEWEST).any() else 0.0
         highest = np.maximum(_OUTLIER * np.maximum(usual, offsets), np.finfo(float).tiny)
         values /= 1.0 + (residuals / highest) ** _STEEP
         weight = np.clip((measured - _FEWEST) / (_ENOUGH - _FEWEST), 0.0, 1.0)
-        return cls(step, values[0], values[1], weight)
+        return cls(step, by_point(np.stack([*(values * weight), weight])))
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -163,37 +161,14 @@ def set_offsets(
     offsets : (row, column) float32
         Becomes the smoothed height minus that of the surface [m].
     """
-    step, along_rows, along_columns, weights = curvature
+    step, nodes = curvature
     last_row, last_column = moment_of_rows.shape[0] - 1, moment_of_rows.shape[1] - 1
     for a in prange(len(rows)):
         i = min(max(int(rows[a] + 0.5), 0), last_row)
+        line, values = np.empty(nodes.shape[1:]), np.empty(3)
+        interpolate_row(nodes, step, max(i - step // 2, 0), line)
         for b in range(len(columns)):
             j = min(max(int(columns[b] + 0.5), 0), last_column)
-            c_x, c_y = _at(step, along_rows, along_columns, weights, i, j)
-            offsets[a, b] = np.float32(0.5 * (moment_of_rows[i, j] * c_x + moment_of_columns[i, j] * c_y))
-
-
-@njit(cache=True, nogil=True)
-def _at(
-    step: int, along_rows: np.ndarray, along_columns: np.ndarray, weights: np.ndarray, i: int, j: int
-) -> tuple[float, float]:
-    """Return the second derivatives at a pixel [m/px^2], which are linear between nodes of equal weight."""
-    upper, lower, below = _between(i, step, weights.shape[0])
-    left, right, beyond = _between(j, step, weights.shape[1])
-    weight, c_x, c_y = 0.0, 0.0, 0.0
-    for a, share_a in ((upper, 1.0 - below), (lower, below)):
-        for b, share_b in ((left, 1.0 - beyond), (right, beyond)):
-            share = share_a * share_b * weights[a, b]
-            weight += share
-            c_x += share * along_rows[a, b]
-            c_y += share * along_columns[a, b]
-    weight = max(weight, _WEAKEST)
-    return c_x / weight, c_y / weight
-
-
-@njit(cache=True, nogil=True)
-def _between(place: int, step: int, count: int) -> tuple[int, int, float]:
-    """Return the nodes before and after a pixel, and where the pixel is between them, from 0 to 1."""
-    position = min(max((place - step // 2) / step, 0.0), count - 1.0)
-    first = int(position)
-    return first, min(first + 1, count - 1), position - first
+            interpolate_column(line, step, max(j - step // 2, 0), values)
+            moved = moment_of_rows[i, j] * values[0] + moment_of_columns[i, j] * values[1]
+            offsets[a, b] = np.float32(0.5 * moved / max(values[2], _WEAKEST))

@@ -111,7 +111,7 @@ class PreparedShape:
             # close to 1, or the squares of the weights leave the range of float32
             weight = typical / variance if typical > 0 else np.ones_like(z)
             along_rows, smooth = (_Weighted(*(np.empty_like(z) for _ in range(4))) for _ in range(2))
-            own = np.empty_like(z)
+            own = np.empty_like(z)  # not read in the first pass: single heights have no moment
             _filter(_Weighted(z, weight, weight, own), self.right, kernel, True, along_rows, along_rows.moment)
             _filter(along_rows, self.down, kernel, False, smooth, own)
             z, variance = smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
